@@ -1,0 +1,48 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+namespace iris {
+
+// State of one cell of the fuzzy layered occupancy grid (thesis 6.3).
+struct FlogCell {
+  uint16_t empty = 0;     // muE, fixed point: 65535 = 1
+  uint16_t occupied = 0;  // muO
+  uint16_t rays = 0;      // N, capped at 3 NK
+};
+
+// Layered grid in tiles. World frame: z up [m]. Cell (ix, iy) covers [ix, ix+1) x [iy, iy+1) times cell_size; layer k
+// covers [layer_bounds[k], layer_bounds[k+1]) in z. Tiles are allocated on first touch (thesis A.5).
+struct FlogMap {
+  static constexpr int kTileBits = 6;
+  static constexpr int kTileCells = 1 << kTileBits;  // cells along one side of a tile
+
+  struct Tile {
+    // [layer][y in tile][x in tile]
+    std::vector<FlogCell> cells;
+  };
+
+  double cell_size = 0.05;           // [m]
+  std::vector<double> layer_bounds;  // [m] ascending, layers + 1 of them
+  int full_rays = 1;                 // NK of (6.3)
+  // Table of tiles: covers tile columns [tile_x0, tile_x0 + tiles_x), rows likewise; null = never touched.
+  int tile_x0 = 0, tile_y0 = 0, tiles_x = 0, tiles_y = 0;
+  std::vector<std::unique_ptr<Tile>> tiles;  // row-major
+
+  int layers() const { return static_cast<int>(layer_bounds.size()) - 1; }
+
+  // The cell, or null if its tile was never touched. Layer in [0, layers()).
+  const FlogCell* find(int ix, int iy, int layer) const {
+    const int tx = (ix >> kTileBits) - tile_x0, ty = (iy >> kTileBits) - tile_y0;
+    if (tx < 0 || ty < 0 || tx >= tiles_x || ty >= tiles_y) return nullptr;
+    const Tile* tile = tiles[static_cast<size_t>(ty) * tiles_x + tx].get();
+    if (!tile) return nullptr;
+    const int x = ix & (kTileCells - 1), y = iy & (kTileCells - 1);
+    return &tile->cells[(static_cast<size_t>(layer) * kTileCells + y) * kTileCells + x];
+  }
+};
+
+}  // namespace iris

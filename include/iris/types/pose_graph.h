@@ -1,0 +1,33 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "iris/geometry/pose.h"
+
+namespace iris {
+
+struct PoseNode {
+  int frame_idx = 0;
+  int64_t stamp_ns = 0;
+  Pose world_from_cam = Pose::Identity();  // left rectified camera
+  int submap = 0;                          // poses of different sub-maps have no known relation
+};
+
+enum class PoseEdgeKind { odometry, loop };
+
+// Nodes are named by their frame_idx.
+struct PoseEdge {
+  int i = 0, j = 0;
+  Pose i_from_j = Pose::Identity();
+  Matrix6d information = Matrix6d::Identity();  // inverse of MotionEstimate::covariance, same order and perturbation
+  PoseEdgeKind kind = PoseEdgeKind::odometry;
+};
+
+// Nodes in the order of their frames; frames without a pose have no node.
+struct PoseGraph {
+  std::vector<PoseNode> nodes;
+  std::vector<PoseEdge> edges;
+};
+
+}  // namespace iris

@@ -1,0 +1,111 @@
+#include "iris/core/atomic_file.h"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <sstream>
+
+#include "iris/core/error.h"
+
+namespace iris {
+namespace fs = std::filesystem;
+namespace {
+
+[[noreturn]] void fail(const fs::path& path, int error) {
+  const bool full = error == ENOSPC || error == EDQUOT || error == EFBIG;
+  throw InputError(path, std::string("cannot be written (") + std::strerror(error) + ")",
+                   full ? "free some space and run the same command again, it goes on where it stopped"
+                        : "check the folder and its permissions, or choose another with -o");
+}
+
+void make_folder_of(const fs::path& path) {
+  if (!path.has_parent_path()) return;
+  std::error_code error;
+  fs::create_directories(path.parent_path(), error);
+  if (error) fail(path.parent_path(), error.value());
+}
+
+// A neighbour of `path` with the same extension: writers choose the format by it. Named after the process, so that
+// two programs never share one; left-overs of a killed run start with a dot and are overwritten or swept by the workspace.
+fs::path temporary_of(const fs::path& path) {
+  return path.parent_path() / (".tmp." + std::to_string(getpid()) + "." + path.filename().string());
+}
+
+void flush_to_disk(const fs::path& path) {
+  const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (fd < 0) fail(path, errno);
+  const int result = fsync(fd), error = errno;
+  close(fd);
+  if (result != 0) fail(path, error);
+}
+
+void rename_over(const fs::path& from, const fs::path& to) {
+  if (std::rename(from.c_str(), to.c_str()) != 0) {
+    const int error = errno;
+    std::error_code ignored;
+    fs::remove(from, ignored);
+    fail(to, error);
+  }
+}
+
+void write_bytes(const fs::path& path, const void* data, size_t size) {
+  make_folder_of(path);
+  const fs::path temporary = temporary_of(path);
+  const int fd = open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+  if (fd < 0) fail(path, errno);
+  const char* at = static_cast<const char*>(data);
+  int error = 0;
+  while (size > 0 && error == 0) {
+    const ssize_t n = ::write(fd, at, size);
+    if (n < 0) {
+      if (errno != EINTR) error = errno;
+      continue;
+    }
+    at += n;
+    size -= static_cast<size_t>(n);
+  }
+  if (error == 0 && fsync(fd) != 0) error = errno;
+  if (close(fd) != 0 && error == 0) error = errno;
+  if (error != 0) {
+    unlink(temporary.c_str());
+    fail(path, error);
+  }
+  rename_over(temporary, path);
+}
+
+}  // namespace
+
+void write_file(const fs::path& path, std::string_view bytes) { write_bytes(path, bytes.data(), bytes.size()); }
+
+void write_file(const fs::path& path, const std::vector<unsigned char>& bytes) {
+  write_bytes(path, bytes.data(), bytes.size());
+}
+
+void write_file_with(const fs::path& path, const std::function<void(const fs::path& temporary)>& write) {
+  make_folder_of(path);
+  const fs::path temporary = temporary_of(path);
+  try {
+    write(temporary);
+    if (!fs::exists(temporary)) fail(path, errno != 0 ? errno : EIO);
+    flush_to_disk(temporary);
+  } catch (...) {
+    std::error_code ignored;
+    fs::remove(temporary, ignored);
+    throw;
+  }
+  rename_over(temporary, path);
+}
+
+std::string read_file(const fs::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  if (!file || !(text << file.rdbuf())) {
+    throw InputError(path, "cannot be read", fs::exists(path) ? "check its permissions" : "check the name");
+  }
+  return std::move(text).str();
+}
+
+}  // namespace iris

@@ -6,7 +6,7 @@
 #include <charconv>
 #include <cmath>
 #include <limits>
-#include <set>
+#include <functional>
 #include <toml++/toml.h>
 
 #include "iris/core/error.h"

@@ -1,0 +1,91 @@
+// The run on disk. Small records (frames, motions, poses, views, finished stages) live in OUT/workspace.db (SQLite, WAL);
+// rasters are files beside it. A frame's files are complete before its record is committed, so that whatever the moment
+// of an interruption, every record refers to whole files and the next run goes on behind the last record.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "iris/types/motion_estimate.h"
+#include "iris/types/pose_graph.h"
+#include "iris/types/stereo_view.h"
+#include "iris/views/view_store.h"
+
+namespace iris::workspace {
+
+// What became of one frame of the session.
+struct FrameRecord {
+  int frame_idx = 0;
+  int64_t stamp_ns = 0;
+  bool readable = true;
+  std::string message;  // why it is not readable
+
+  // Of readable frames:
+  int submap = 0;
+  Pose submap_from_cam = Pose::Identity();  // the sub-map's frame is its first camera
+  bool has_motion = false;                  // false for the first frame
+  int reference_frame = -1;                 // the earlier frame that `motion` is measured against
+  MotionEstimate motion;                    // of the last attempt; status tells whether it joined the frame to its reference
+};
+
+// Record of a finished stage.
+struct StageRecord {
+  std::string fingerprint;           // of everything its result depends on
+  std::vector<std::string> outputs;  // files relative to the output folder
+};
+
+class Workspace {
+ public:
+  // Opens or creates the workspace in `folder` for a session. Throws InputError if the folder holds something else, the
+  // output of another session, is in use by another run, or cannot be written.
+  static Workspace create(const std::filesystem::path& folder, const std::string& session_folder,
+                          const std::string& session_fingerprint);
+  // Opens the finished or partial output of an earlier run. Throws InputError if there is none.
+  static Workspace open(const std::filesystem::path& folder);
+
+  Workspace(Workspace&&) noexcept;
+  Workspace& operator=(Workspace&&) noexcept;
+  ~Workspace();
+
+  const std::filesystem::path& folder() const;
+  std::string session_folder() const;
+
+  // Small named values (rectified camera, search range, …), stored until clear_frames().
+  std::optional<std::string> value(const std::string& name) const;
+  void set_value(const std::string& name, const std::string& text);
+
+  // Stages. finished() is true if the record has this fingerprint and all its outputs are there.
+  bool finished(const std::string& stage, const std::string& fingerprint) const;
+  std::optional<StageRecord> stage(const std::string& stage) const;
+  void finish(const std::string& stage, const StageRecord& record);
+  void forget(const std::string& stage);
+
+  // Frames, in order. Removes everything that belongs to frames: records, values and view files.
+  void clear_frames();
+  // Commits one frame; `view` (may be null) is written to files first.
+  void add_frame(const FrameRecord& record, const StereoView* view);
+  int frame_count() const;
+  std::optional<FrameRecord> frame(int frame_idx) const;
+  std::vector<FrameRecord> last_posed_frames(int count) const;  // ascending; readable ones only
+  void for_each_frame(const std::function<void(const FrameRecord&)>& visit) const;
+  std::optional<int> last_view_frame() const;
+  int view_count() const;
+
+  // Poses of all readable frames and their odometry edges. world_from_submap takes each sub-map to its z-up world.
+  PoseGraph pose_graph(const Pose& world_from_submap) const;
+
+  // The stored views of one sub-map (or of all: submap < 0), read on demand through a cache of at most `cache_bytes`.
+  std::unique_ptr<views::ViewStore> views(const Pose& world_from_submap, int submap, size_t cache_bytes) const;
+
+ private:
+  struct Impl;
+  explicit Workspace(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace iris::workspace

@@ -19,4 +19,12 @@ Eigen::Matrix3d nearest_rotation(const Eigen::Matrix3d& matrix) {
   return u * svd.matrixV().transpose();
 }
 
+Pose z_up_from_camera() {
+  Pose pose = Pose::Identity();
+  pose.linear() << 0, 0, 1,  //
+      -1, 0, 0,              //
+      0, -1, 0;
+  return pose;
+}
+
 }  // namespace iris

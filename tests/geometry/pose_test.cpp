@@ -24,5 +24,11 @@ TEST(NearestRotation, RestoresARotationAndNeverAReflection) {
   EXPECT_NEAR(nearest_rotation(-r).determinant(), 1.0, 1e-12);
 }
 
+TEST(ZUpFromCamera, TakesForwardToXAndDownToMinusZ) {
+  const Pose pose = z_up_from_camera();
+  EXPECT_EQ((pose * Eigen::Vector3d(1, 2, 3) - Eigen::Vector3d(3, -1, -2)).norm(), 0);
+  EXPECT_EQ(pose.linear().determinant(), 1);
+}
+
 }  // namespace
 }  // namespace iris

@@ -33,8 +33,8 @@ CREATE TABLE IF NOT EXISTS motion (frame_idx INTEGER PRIMARY KEY, reference_fram
                                    reference_from_frame BLOB NOT NULL, covariance BLOB NOT NULL, corners INTEGER NOT NULL,
                                    initial INTEGER NOT NULL, consistent INTEGER NOT NULL, used INTEGER NOT NULL,
                                    rms_px REAL NOT NULL);
-CREATE TABLE IF NOT EXISTS view   (frame_idx INTEGER PRIMARY KEY, submap INTEGER NOT NULL, f REAL NOT NULL, cx REAL NOT NULL,
-                                   cy REAL NOT NULL, baseline REAL NOT NULL, disparity_offset REAL NOT NULL,
+CREATE TABLE IF NOT EXISTS view   (frame_idx INTEGER PRIMARY KEY, f REAL NOT NULL, cx REAL NOT NULL, cy REAL NOT NULL,
+                                   baseline REAL NOT NULL, disparity_offset REAL NOT NULL,
                                    width INTEGER NOT NULL, height INTEGER NOT NULL, min_disparity REAL NOT NULL,
                                    max_disparity REAL NOT NULL, disparity_scale INTEGER NOT NULL);
 )";
@@ -325,8 +325,8 @@ void Workspace::add_frame(const FrameRecord& record, const StereoView* view) {
   }
   if (view) {
     const RectifiedCamera& c = view->camera;
-    Statement(db, "INSERT INTO view VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)")
-        .bind(view->frame_idx, view->submap, c.f, c.cx, c.cy, c.baseline, c.disparity_offset, c.width, c.height,
+    Statement(db, "INSERT INTO view VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)")
+        .bind(view->frame_idx, c.f, c.cx, c.cy, c.baseline, c.disparity_offset, c.width, c.height,
               summary.min_disparity, summary.max_disparity, scale)
         .step();
   }
@@ -393,9 +393,9 @@ PoseGraph Workspace::pose_graph(const Pose& world_from_submap) const {
 
 std::unique_ptr<views::ViewStore> Workspace::views(const Pose& world_from_submap, int submap, size_t cache_bytes) const {
   Statement select(impl_->database,
-                   "SELECT frame_idx, view.submap, f, cx, cy, baseline, disparity_offset, width, height, min_disparity, "
+                   "SELECT frame_idx, submap, f, cx, cy, baseline, disparity_offset, width, height, min_disparity, "
                    "max_disparity, disparity_scale, stamp_ns, submap_from_cam FROM view JOIN frame USING (frame_idx) "
-                   "JOIN pose USING (frame_idx) WHERE ?1 < 0 OR view.submap = ?1 ORDER BY frame_idx");
+                   "JOIN pose USING (frame_idx) WHERE ?1 < 0 OR submap = ?1 ORDER BY frame_idx");
   select.bind(submap);
   std::vector<ViewRow> rows;
   while (select.step()) {

@@ -1,0 +1,31 @@
+// Pairs of corners that look alike in two views (thesis 5.3.2), without any prediction of the motion.
+#pragma once
+
+#include <vector>
+
+#include "iris/motion/features.h"
+
+namespace iris::motion {
+
+// Two reconstructions of what is probably one point.
+struct Correspondence {
+  int prev_corner = 0, cur_corner = 0;                   // indices of the corners
+  Eigen::Vector3d prev_point = Eigen::Vector3d::Zero();  // [m] in the previous camera
+  Eigen::Vector3d cur_point = Eigen::Vector3d::Zero();   // [m] in the current camera
+};
+
+// Corner indices (previous, current) that are each other's best match: every patch is compared with every patch by the
+// sum of absolute differences of Rank values, and the best match must be the same both ways. The patches of the current
+// view are turned by `turns` quarter turns clockwise first. Ordered by the previous corner's index.
+std::vector<std::pair<int, int>> match_corners(const ViewFeatures& prev, const ViewFeatures& cur, int turns = 0);
+
+// Moves the current position of each match onto the surroundings of the previous corner (Lucas-Kanade) and takes its
+// disparity anew. Matches that move too far or lose their disparity are dropped.
+std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>>& matches, const ViewFeatures& prev,
+                                           const ViewFeatures& cur, int turns, const RectifiedCamera& camera,
+                                           const ScsOptions& options);
+
+// The patch of the image turned by a quarter turn clockwise.
+RankPatch turned(const RankPatch& patch);
+
+}  // namespace iris::motion

@@ -1,0 +1,52 @@
+// What motion estimation keeps of a view: corners with their points in space and their surroundings (thesis 5.3.1).
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <opencv2/core.hpp>
+#include <vector>
+
+#include "iris/geometry/rectified_camera.h"
+#include "iris/motion/scs_options.h"
+#include "iris/types/disparity_image.h"
+
+namespace iris::motion {
+
+// The surroundings of a corner, Rank transformed: 17x17 values row by row, then zeros up to a multiple of 16 bytes.
+constexpr int kPatchSize = 17;   // [px] window of the comparison
+constexpr int kRankWindow = 11;  // [px] window of the Rank transform
+using RankPatch = std::array<uint8_t, 304>;
+
+struct Corner {
+  double x = 0, y = 0;                                     // [px] sub-pixel position in the left image
+  double disparity = 0;                                    // [px] as measured, at that position
+  Eigen::Vector3d point_in_cam = Eigen::Vector3d::Zero();  // [m]
+  float strength = 0;                                      // Harris response
+};
+
+struct ViewFeatures {
+  cv::Mat1b image;  // left rectified image
+  DisparityImage disparity;
+  std::vector<Corner> corners;     // only those with a usable disparity
+  std::vector<RankPatch> patches;  // one a corner
+};
+
+// Corners of a view that motion can use. Two calls with equal input give equal output, bit by bit.
+ViewFeatures extract_features(const cv::Mat1b& left_image, const DisparityImage& disparity,
+                              const RectifiedCamera& camera, const ScsOptions& options);
+
+// Disparity at a sub-pixel position: 0 unless all pixels within 1 px of the nearest one carry a measured disparity and
+// the result is at least options.min_disparity; interpolated where the surface is continuous, else the nearest pixel's.
+double usable_disparity(const DisparityImage& disparity, double x, double y, const RectifiedCamera& camera,
+                        const ScsOptions& options);
+
+// Harris response det(M) - 0.04 trace(M)^2 [(grey levels/px)^4] of the structure tensor weighted with a Gaussian of 2
+// px.
+cv::Mat1f harris_response(const cv::Mat1b& image);
+
+// The Rank transform (number of pixels of the 11x11 window that are darker than its centre) in the 17x17 pixels around
+// (x, y), which must be at least 13 px inside the image.
+RankPatch rank_patch(const cv::Mat1b& image, int x, int y);
+
+}  // namespace iris::motion

@@ -1,0 +1,49 @@
+// The last minimisation of the camera motion over an error model (thesis 4.4 and 5.3.4).
+#pragma once
+
+#include <functional>
+#include <utility>
+#include <vector>
+
+#include "iris/geometry/pose.h"
+#include "iris/geometry/rectified_camera.h"
+
+namespace iris::motion {
+
+enum class ErrorModel { ellipsoid, image };
+
+// The two reconstructions of one point: in the previous and in the current camera [m].
+using PointPair = std::pair<Eigen::Vector3d, Eigen::Vector3d>;
+
+// A sum over all pairs of rho(e^2), e^2 the model's squared error in units of pixel_error^2, and its derivatives by the
+// perturbation (dt, dw): T + dt, exp(dw) R. The gradient is exact; the Hessian is Gauss and Newton's.
+struct MotionCost {
+  double value = 0;
+  Vector6d gradient = Vector6d::Zero();  // of value / 2
+  Matrix6d hessian = Matrix6d::Zero();   // of value / 2
+  double squares = 0;                    // sum of rho'(e^2) e^2
+};
+
+// rho is Huber's function: e^2 up to e = huber, then 2 huber e - huber^2; huber <= 0: no limit.
+// ellipsoid: (4.15), both points' covariances at the given rotation.
+// image: (4.7, 4.8), each point's best position being eliminated (3x3 Schur complement).
+MotionCost motion_cost(const RectifiedCamera& camera, const std::vector<PointPair>& pairs, ErrorModel model,
+                       double pixel_error, double huber, const Pose& prev_from_cur);
+
+struct MinimisedMotion {
+  bool converged = false;
+  Pose prev_from_cur = Pose::Identity();
+  Matrix6d covariance = Matrix6d::Zero();  // as in MotionEstimate
+  int iterations = 0;
+};
+
+// Levenberg-Marquardt from a first guess. The covariance is the inverse of the Hessian, scaled by the variance factor
+// that the residuals show (drawn towards 1 where there are few of them). Not converged: the Hessian is singular, or the
+// step does not vanish within 50 iterations.
+MinimisedMotion minimise_motion(const RectifiedCamera& camera, const std::vector<PointPair>& pairs, ErrorModel model,
+                                double pixel_error, double huber, const Pose& guess);
+
+// The pose moved by (dt, dw): T + dt, exp(dw) R.
+Pose perturbed(const Pose& pose, const Vector6d& step);
+
+}  // namespace iris::motion

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <string>
+
+#include "iris/core/options.h"
+
+namespace iris::motion {
+
+// Camera motion from spatially consistent sets of corners (SCS, thesis ch. 5).
+struct ScsOptions {
+  std::string model = "ellipsoid";  // error model of the last minimisation (4.4): spherical|ellipsoid|drift|image
+  double pixel_error = 0.1;         // [px] standard deviation of image coordinates (dp, 4.4); wider lets wrong sets in
+  // Corners (5.3.1).
+  int max_corners = 500;       // most corners a view, spread over the image by a grid
+  int grid_columns = 10;       // cells of that grid across the image; the rows follow from the image's shape
+  double min_strength = 1.0;   // [(grey levels/px)^4] least Harris response
+  double min_disparity = 4.0;  // [px] corners farther away than this have no useful depth
+  // Correspondences (5.3.2).
+  double max_refinement = 1.5;  // [px] a match whose refinement moves further is dropped
+  bool quarter_turns = true;    // after a failure, also try the current view turned by 90, 180 and 270 degrees
+  // Consistency (5.3.3).
+  double max_turn = 45.0;  // [deg] largest rotation between the views (theta of 5.3)
+  // Result.
+  int min_used = 8;                 // fewer correspondences than this are a failure
+  double huber_px = 0.3;            // [px] errors beyond this count linearly in the last minimisation; 0 = off
+  double max_rotation_error = 2.0;  // [deg] an estimate whose rotation is less certain (one sigma) is degenerate
+  int retry_views = 5;              // earlier views that a failed estimate is retried against
+
+  void declare(OptionSet& set);
+};
+
+}  // namespace iris::motion

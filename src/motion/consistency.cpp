@@ -1,0 +1,77 @@
+#include "iris/motion/consistency.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+
+#include "iris/reconstruct/error_propagation.h"
+
+namespace iris::motion {
+namespace {
+
+// The point in a camera that is turned back by `turns` quarter turns: x right, y down, the image turned clockwise.
+Eigen::Vector3d turned_point(const Eigen::Vector3d& p, int turns) {
+  switch (turns) {
+    case 1:
+      return {-p.y(), p.x(), p.z()};
+    case 2:
+      return {-p.x(), -p.y(), p.z()};
+    case 3:
+      return {p.y(), -p.x(), p.z()};
+    default:
+      return p;
+  }
+}
+
+}  // namespace
+
+bool consistent(const RectifiedCamera& camera, const Correspondence& a, const Correspondence& b, double pixel_error,
+                double max_turn, int turns) {
+  const Eigen::Vector3d u = a.prev_point - b.prev_point;
+  const Eigen::Vector3d v = turned_point(a.cur_point - b.cur_point, turns);
+  const double length_u = u.norm(), length_v = v.norm();
+  if (u.dot(v) < std::cos(max_turn) * length_u * length_v) return false;  // (5.3)
+  const double error_u = reconstruct::length_error(camera, a.prev_point, b.prev_point, pixel_error);
+  const double error_v = reconstruct::length_error(camera, a.cur_point, b.cur_point, pixel_error);
+  const double difference = length_u - length_v;
+  return difference * difference <= 9 * (error_u * error_u + error_v * error_v);  // (5.2)
+}
+
+BitMatrix consistency_matrix(const RectifiedCamera& camera, const std::vector<Correspondence>& correspondences,
+                             double pixel_error, double max_turn, int turns) {
+  const int n = static_cast<int>(correspondences.size());
+  BitMatrix matrix(n);
+  for (int i = 0; i < n; ++i)
+    for (int k = i + 1; k < n; ++k)
+      if (consistent(camera, correspondences[i], correspondences[k], pixel_error, max_turn, turns))
+        matrix.set_pair(i, k);
+  return matrix;
+}
+
+std::vector<int> consistent_set(const BitMatrix& matrix) {
+  const int words = matrix.words();
+  // Correspondences that are consistent with all chosen ones.
+  std::vector<uint64_t> candidates(words, 0);
+  for (int i = 0; i < matrix.size(); ++i) candidates[i / 64] |= uint64_t{1} << (i % 64);
+  std::vector<int> chosen;
+  for (;;) {
+    int best = -1, most = -1;
+    for (int i = 0; i < matrix.size(); ++i) {
+      if (!(candidates[i / 64] >> (i % 64) & 1)) continue;
+      const uint64_t* row = matrix.row(i);
+      int kept = 0;
+      for (int w = 0; w < words; ++w) kept += std::popcount(row[w] & candidates[w]);
+      if (kept > most) {
+        most = kept;
+        best = i;
+      }
+    }
+    if (best < 0) break;
+    chosen.push_back(best);
+    for (int w = 0; w < words; ++w) candidates[w] &= matrix.row(best)[w];  // the diagonal removes `best` itself
+  }
+  std::sort(chosen.begin(), chosen.end());
+  return chosen;
+}
+
+}  // namespace iris::motion

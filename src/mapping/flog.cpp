@@ -1,0 +1,171 @@
+#include "iris/mapping/flog.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "iris/core/error.h"
+#include "iris/core/parallel.h"
+#include "iris/mapping/ray_fusion.h"
+
+namespace iris::mapping {
+namespace {
+
+// Makes the table cover the tile columns and rows, whichever way it must grow (A.5).
+void grow_table(FlogMap& map, int x0, int y0, int x1, int y1) {
+  if (map.tiles_x > 0) {
+    x0 = std::min(x0, map.tile_x0), x1 = std::max(x1, map.tile_x0 + map.tiles_x - 1);
+    y0 = std::min(y0, map.tile_y0), y1 = std::max(y1, map.tile_y0 + map.tiles_y - 1);
+  }
+  const int nx = x1 - x0 + 1, ny = y1 - y0 + 1;
+  if (nx == map.tiles_x && ny == map.tiles_y) return;
+  std::vector<std::unique_ptr<FlogMap::Tile>> tiles(static_cast<size_t>(nx) * ny);
+  for (int y = 0; y < map.tiles_y; ++y) {
+    for (int x = 0; x < map.tiles_x; ++x) {
+      tiles[static_cast<size_t>(y + map.tile_y0 - y0) * nx + (x + map.tile_x0 - x0)] =
+          std::move(map.tiles[static_cast<size_t>(y) * map.tiles_x + x]);
+    }
+  }
+  map.tiles = std::move(tiles);
+  map.tile_x0 = x0, map.tile_y0 = y0, map.tiles_x = nx, map.tiles_y = ny;
+}
+
+}  // namespace
+
+void FlogOptions::declare(OptionSet& set) {
+  set.section("mapping");
+  set.add("cell", cell, "m", 0.001, 10, "side of a map cell; smaller cells need more memory and nearer views");
+  set.add("layers", layers, "", 1, 64, "layers of cells, told apart by height; a cell should be seen whole from 1 m");
+  set.add(
+      "bottom", bottom, "m", -1000, 1000,
+      "lower bound of the lowest layer relative to the world's z = 0; choose it above the floor, or the floor becomes "
+      "an obstacle");
+  set.add("height", height, "m", 0.001, 1000, "height of all layers together");
+  set.add("min_disparity", min_disparity, "px", 0.1, 1000,
+          "rays of smaller disparities are followed only to the distance of this one, their error is too large beyond");
+  set.add("pixel_error", pixel_error, "px", 0.001, 10,
+          "error of image coordinates: makes obstacles thicker with distance");
+  set.add("min_spread", min_spread, "cells", 0, 10,
+          "least half width of a measured surface; 0 loses surfaces that are measured more finely than a cell");
+  set.add("max_range", max_range, "m", 0.1, 10000, "rays are cut at this distance; what lies beyond stays unknown");
+  set.add("ray_step", ray_step, "px", 1, 64, "every n-th row and column gives rays: faster, less evidence");
+  set.add("min_move", min_move, "cells", 0, 10000, "a view is added if it moved this far since the last added one …");
+  set.add("min_turn", min_turn, "fields of view", 0, 10, "… or turned by more than this part of the field of view");
+  set.add("min_confidence", min_confidence, "", 0, 1,
+          "confidence K below which a cell is unknown in map.pgm; 1 = as many rays as a whole cell gets from 1 m");
+  set.add("occupied_level", occupied_level, "", 0.01, 1,
+          "membership of occupancy that makes a cell an obstacle in map.pgm; lower finds thin things and more noise");
+}
+
+int full_rays(const FlogOptions& options, const RectifiedCamera& camera) {
+  const double columns = std::min<double>(camera.f * options.cell, camera.width);
+  const double rows = std::min<double>(camera.f * options.height / options.layers, camera.height);
+  return std::max(1, static_cast<int>(std::lround(columns * rows / (options.ray_step * options.ray_step))));
+}
+
+FlogBuilder::FlogBuilder(const FlogOptions& options, const RectifiedCamera& camera)
+    : options_(options), half_view_(std::atan(0.5 * camera.width / camera.f)) {
+  IRIS_CHECK(options.layers >= 1 && options.cell > 0 && options.height > 0);
+  map_.cell_size = options.cell;
+  for (int k = 0; k <= options.layers; ++k) {
+    map_.layer_bounds.push_back(options.bottom + options.height * k / options.layers);
+  }
+  map_.full_rays = full_rays(options, camera);
+}
+
+bool FlogBuilder::add(const StereoView& view) {
+  if (last_added_) {
+    const Pose last_from_view = last_added_->inverse() * view.world_from_cam;
+    if (last_from_view.translation().norm() < options_.min_move * options_.cell &&
+        rotation_angle(last_from_view) <= options_.min_turn * 2 * half_view_) {
+      return false;
+    }
+  }
+  last_added_ = view.world_from_cam;
+
+  const SightRays rays = sight_rays(view, {.min_disparity = options_.min_disparity,
+                                           .pixel_error = options_.pixel_error,
+                                           .min_error = options_.min_spread * options_.cell,
+                                           .max_range = options_.max_range,
+                                           .step = options_.ray_step});
+  const TiledGrid grid{.origin = {0, 0, options_.bottom},
+                       .box = {options_.cell, options_.cell, options_.height / options_.layers},
+                       .tile_boxes = {FlogMap::kTileCells, FlogMap::kTileCells, options_.layers},
+                       .single_layer_of_tiles = true};
+  const TileRays sorted = sort_by_tile(rays, grid);
+  if (sorted.tiles.empty()) return true;
+  Eigen::Vector3i low = sorted.tiles.front().index, high = low;
+  for (const TileRays::Tile& tile : sorted.tiles) low = low.cwiseMin(tile.index), high = high.cwiseMax(tile.index);
+  grow_table(map_, low.x(), low.y(), high.x(), high.y());
+  // Nt = 3 NK: what was seen long ago gives way to what is seen now.
+  const uint32_t max_rays = 3 * static_cast<uint32_t>(map_.full_rays);
+  parallel_chunks(0, static_cast<int>(sorted.tiles.size()), 1, [&](int begin, int end) {
+    for (int i = begin; i < end; ++i) {
+      const TileRays::Tile& task = sorted.tiles[static_cast<size_t>(i)];
+      std::unique_ptr<FlogMap::Tile>& tile =
+          map_.tiles[static_cast<size_t>(task.index.y() - map_.tile_y0) * map_.tiles_x +
+                     (task.index.x() - map_.tile_x0)];
+      if (!tile) {
+        tile = std::make_unique<FlogMap::Tile>();
+        tile->cells.resize(static_cast<size_t>(grid.tile_boxes.prod()));
+      }
+      fuse_rays(rays, task.rays, grid, task.index, max_rays, tile->cells);
+    }
+  });
+  return true;
+}
+
+MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
+  MapRaster raster;
+  raster.cell = map.cell_size;
+  raster.layer_bounds = map.layer_bounds;
+  constexpr int kSide = FlogMap::kTileCells;
+  const auto for_each_tile = [&](const auto& visit) {
+    for (int ty = 0; ty < map.tiles_y; ++ty) {
+      for (int tx = 0; tx < map.tiles_x; ++tx) {
+        const FlogMap::Tile* tile = map.tiles[static_cast<size_t>(ty) * map.tiles_x + tx].get();
+        if (tile) visit(*tile, (tx + map.tile_x0) * kSide, (ty + map.tile_y0) * kSide);
+      }
+    }
+  };
+  int x0 = std::numeric_limits<int>::max(), y0 = x0, x1 = std::numeric_limits<int>::min(), y1 = x1;
+  for_each_tile([&](const FlogMap::Tile& tile, int tile_x, int tile_y) {
+    for (size_t i = 0; i < tile.cells.size(); ++i) {
+      if (tile.cells[i].rays == 0) continue;
+      const int x = tile_x + static_cast<int>(i % kSide), y = tile_y + static_cast<int>(i / kSide % kSide);
+      x0 = std::min(x0, x), x1 = std::max(x1, x), y0 = std::min(y0, y), y1 = std::max(y1, y);
+    }
+  });
+  if (x1 < x0) x0 = y0 = x1 = y1 = 0;
+  raster.width = x1 - x0 + 1, raster.height = y1 - y0 + 1;
+  raster.origin_x = x0 * map.cell_size, raster.origin_y = y0 * map.cell_size;
+  raster.M = cv::Mat1f::zeros(raster.height, raster.width);
+  raster.state = cv::Mat1b::zeros(raster.height, raster.width);
+  for (int k = 0; k < map.layers(); ++k) raster.layer_M.push_back(cv::Mat1f::zeros(raster.height, raster.width));
+  for_each_tile([&](const FlogMap::Tile& tile, int tile_x, int tile_y) {
+    for (size_t i = 0; i < tile.cells.size(); ++i) {
+      const FlogCell& cell = tile.cells[i];
+      if (cell.rays == 0) continue;
+      const int column = tile_x + static_cast<int>(i % kSide) - x0;
+      const int row = y1 - (tile_y + static_cast<int>(i / kSide % kSide));
+      const float E = cell.empty, O = cell.occupied;
+      const float K = std::min(1.0f, static_cast<float>(cell.rays) / static_cast<float>(map.full_rays));  // (6.3)
+      const float I = std::min(1 - E, 1 - O);
+      const float Mk = std::min(1 - std::max(std::min(E, 1 - O), I), K);  // (6.4)
+      raster.layer_M[i / (kSide * kSide)](row, column) = Mk;
+      raster.M(row, column) = std::max(raster.M(row, column), Mk);  // (6.5)
+      if (static_cast<double>(K) < options.min_confidence) continue;
+      const MapState state = static_cast<double>(O) >= options.occupied_level ? MapState::occupied
+                             : E > 0.5f                                       ? MapState::free
+                                                                              : MapState::unknown;
+      raster.state(row, column) = std::max(raster.state(row, column), static_cast<uint8_t>(state));
+    }
+  });
+  raster.known = cv::Mat1b(raster.height, raster.width);
+  for (int y = 0; y < raster.height; ++y) {
+    for (int x = 0; x < raster.width; ++x) raster.known(y, x) = raster.state(y, x) != 0;
+  }
+  return raster;
+}
+
+}  // namespace iris::mapping

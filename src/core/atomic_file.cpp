@@ -6,7 +6,6 @@
 #include <cerrno>
 #include <cstring>
 #include <fstream>
-#include <sstream>
 
 #include "iris/core/error.h"
 
@@ -101,11 +100,16 @@ void write_file_with(const fs::path& path, const std::function<void(const fs::pa
 
 std::string read_file(const fs::path& path) {
   std::ifstream file(path, std::ios::binary);
-  std::ostringstream text;
-  if (!file || !(text << file.rdbuf())) {
+  std::string text;
+  std::vector<char> block(1 << 16);
+  while (file.read(block.data(), static_cast<std::streamsize>(block.size())) || file.gcount() > 0) {
+    text.append(block.data(), static_cast<size_t>(file.gcount()));
+  }
+  // The end of a file sets eof and fail; a folder or a failing disk sets bad; a file that cannot be opened fails without eof.
+  if (file.bad() || !file.eof()) {
     throw InputError(path, "cannot be read", fs::exists(path) ? "check its permissions" : "check the name");
   }
-  return std::move(text).str();
+  return text;
 }
 
 }  // namespace iris

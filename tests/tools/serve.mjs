@@ -1,0 +1,24 @@
+// usage: node serve.mjs scene.glb
+// Serves viewer.html, three.js and the scene on a free port of localhost. Prints the port, then what the viewer reports.
+import { createServer } from "node:http";
+import { readFileSync } from "node:fs";
+import { extname, join, normalize } from "node:path";
+
+const here = import.meta.dirname;
+const types = { ".html": "text/html", ".js": "text/javascript", ".glb": "model/gltf-binary" };
+const server = createServer((request, response) => {
+  const url = new URL(request.url, "http://localhost");
+  const path = normalize(url.pathname);
+  if (path === "/report") {
+    console.log(url.searchParams.get("text"));
+    response.writeHead(204).end();
+    return;
+  }
+  try {
+    const body = readFileSync(path === "/scene.glb" ? process.argv[2] : join(here, path));
+    response.writeHead(200, { "Content-Type": types[extname(path)] ?? "application/octet-stream" }).end(body);
+  } catch {
+    response.writeHead(404).end();
+  }
+});
+server.listen(0, "127.0.0.1", () => console.log(server.address().port));

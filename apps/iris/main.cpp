@@ -1,1 +1,94 @@
-int main() { return 0; }
+// iris: a table of subcommands.
+#include <fmt/format.h>
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include <csignal>
+#include <opencv2/core.hpp>
+#include <opencv2/core/utils/logger.hpp>
+
+#include "apps/iris/command.h"
+#include "iris/core/error.h"
+
+namespace iris::app {
+namespace {
+
+constexpr const char* kDescription =
+    "IRIS turns a recorded stereo session into the camera's path, maps, a 3-D scene and a virtual tour.\n\n"
+    "  iris run SESSION -o OUT      does everything; the same command again goes on after an interruption\n"
+    "  iris info SESSION            says what was recorded\n\n"
+    "Exit codes: 0 good, 1 bug, 2 wrong usage, 3 bad input, 4 finished but incomplete, 130 interrupted (run it again).";
+
+void request_stop(int) {
+  // A second Ctrl-C ends the program at once; the workspace stays good.
+  if (stop_requested.exchange(true)) std::_Exit(kInterrupted);
+}
+
+// CLI11 says only that it does not know an option; say which one was probably meant.
+int report_parse_error(const CLI::App& program, const CLI::ParseError& error) {
+  if (error.get_exit_code() == static_cast<int>(CLI::ExitCodes::Success)) return program.exit(error);
+  std::string message = error.what();
+  if (dynamic_cast<const CLI::ExtrasError*>(&error)) {
+    exporters::RunOptions options;
+    OptionSet set;
+    options.declare(set);
+    for (const CLI::App* command : program.get_subcommands()) {
+      for (const std::string& extra : command->remaining()) {
+        if (!extra.starts_with("--")) continue;
+        try {
+          set.set(extra.substr(2, extra.find('=') - 2), "");
+        } catch (const UsageError& unknown) {
+          message = unknown.what();
+        }
+      }
+    }
+  }
+  fmt::print(stderr, "iris: {}\nRun with --help for the commands and options.\n", message);
+  return kUsage;
+}
+
+int run(int argc, char** argv) {
+  auto console = spdlog::stderr_color_mt("iris");
+  console->set_pattern("%^%v%$");
+  spdlog::set_default_logger(console);
+  cv::utils::logging::setLogLevel(cv::utils::logging::LOG_LEVEL_SILENT);
+  cv::setNumThreads(1);  // frames run in parallel, not the inside of OpenCV's functions
+  std::signal(SIGINT, request_stop);
+  std::signal(SIGTERM, request_stop);
+
+  CLI::App program(kDescription, "iris");
+  program.set_version_flag("--version", "iris " IRIS_VERSION);
+  program.require_subcommand(1);
+  const std::vector<std::pair<std::string, Command>> commands = {
+      {"run", add_run(program)},       {"info", add_info(program)},     {"rectify", add_rectify(program)},
+      {"stereo", add_stereo(program)}, {"export", add_export(program)}, {"tour", add_tour(program)},
+  };
+  try {
+    program.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return report_parse_error(program, error);
+  }
+  try {
+    for (const auto& [name, command] : commands) {
+      if (program.got_subcommand(name)) return command();
+    }
+    throw Bug("no subcommand");
+  } catch (const UsageError& error) {
+    spdlog::error("iris: {}", error.what());
+    return kUsage;
+  } catch (const InputError& error) {
+    spdlog::error("iris: {}", error.what());
+    return kBadInput;
+  } catch (const Interrupted&) {
+    spdlog::warn("interrupted; the same command goes on from here");
+    return kInterrupted;
+  } catch (const std::exception& error) {
+    spdlog::error("iris: this is a bug, please report it: {}", error.what());
+    return kBug;
+  }
+}
+
+}  // namespace
+}  // namespace iris::app
+
+int main(int argc, char** argv) { return iris::app::run(argc, argv); }

@@ -28,7 +28,8 @@ void make_folder_of(const fs::path& path) {
 }
 
 // A neighbour of `path` with the same extension: writers choose the format by it. Named after the process, so that
-// two programs never share one; left-overs of a killed run start with a dot and are overwritten or swept by the workspace.
+// two programs never share one; left-overs of a killed run start with a dot and are overwritten or swept by the
+// workspace.
 fs::path temporary_of(const fs::path& path) {
   return path.parent_path() / (".tmp." + std::to_string(getpid()) + "." + path.filename().string());
 }
@@ -105,7 +106,8 @@ std::string read_file(const fs::path& path) {
   while (file.read(block.data(), static_cast<std::streamsize>(block.size())) || file.gcount() > 0) {
     text.append(block.data(), static_cast<size_t>(file.gcount()));
   }
-  // The end of a file sets eof and fail; a folder or a failing disk sets bad; a file that cannot be opened fails without eof.
+  // The end of a file sets eof and fail; a folder or a failing disk sets bad; a file that cannot be opened fails
+  // without eof.
   if (file.bad() || !file.eof()) {
     throw InputError(path, "cannot be read", fs::exists(path) ? "check its permissions" : "check the name");
   }

@@ -1,13 +1,13 @@
 #include "iris/core/options.h"
 
 #include <fmt/format.h>
+#include <toml++/toml.h>
 
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <limits>
 #include <functional>
-#include <toml++/toml.h>
+#include <limits>
 
 #include "iris/core/error.h"
 
@@ -84,25 +84,45 @@ void OptionSet::push(Option option) {
 }
 
 void OptionSet::add(std::string_view name, bool& value, std::string_view help) {
-  push({.name = section_.empty() ? std::string(name) : section_ + "." + std::string(name), .value = &value,
-        .unit = "", .help = std::string(help), .choices = {}, .default_text = ""});
+  push({.name = section_.empty() ? std::string(name) : section_ + "." + std::string(name),
+        .value = &value,
+        .unit = "",
+        .help = std::string(help),
+        .choices = {},
+        .default_text = ""});
 }
 
 void OptionSet::add(std::string_view name, int& value, std::string_view unit, int min, int max, std::string_view help) {
-  push({.name = section_.empty() ? std::string(name) : section_ + "." + std::string(name), .value = &value,
-        .unit = std::string(unit), .help = std::string(help), .min = static_cast<double>(min),
-        .max = static_cast<double>(max), .choices = {}, .default_text = ""});
+  push({.name = section_.empty() ? std::string(name) : section_ + "." + std::string(name),
+        .value = &value,
+        .unit = std::string(unit),
+        .help = std::string(help),
+        .min = static_cast<double>(min),
+        .max = static_cast<double>(max),
+        .choices = {},
+        .default_text = ""});
 }
 
 void OptionSet::add(std::string_view name, double& value, std::string_view unit, double min, double max,
                     std::string_view help) {
-  push({.name = section_.empty() ? std::string(name) : section_ + "." + std::string(name), .value = &value,
-        .unit = std::string(unit), .help = std::string(help), .min = min, .max = max, .choices = {}, .default_text = ""});
+  push({.name = section_.empty() ? std::string(name) : section_ + "." + std::string(name),
+        .value = &value,
+        .unit = std::string(unit),
+        .help = std::string(help),
+        .min = min,
+        .max = max,
+        .choices = {},
+        .default_text = ""});
 }
 
-void OptionSet::add(std::string_view name, std::string& value, std::vector<std::string> choices, std::string_view help) {
-  push({.name = section_.empty() ? std::string(name) : section_ + "." + std::string(name), .value = &value,
-        .unit = "", .help = std::string(help), .choices = std::move(choices), .default_text = ""});
+void OptionSet::add(std::string_view name, std::string& value, std::vector<std::string> choices,
+                    std::string_view help) {
+  push({.name = section_.empty() ? std::string(name) : section_ + "." + std::string(name),
+        .value = &value,
+        .unit = "",
+        .help = std::string(help),
+        .choices = std::move(choices),
+        .default_text = ""});
 }
 
 void OptionSet::set(std::string_view name, std::string_view text) {
@@ -148,11 +168,16 @@ void OptionSet::read_toml(const std::filesystem::path& path) {
   }
   visit_leaves(table, "", [&](const std::string& name, const toml::node& node) {
     std::string text;
-    if (const auto* v = node.as_string()) text = v->get();
-    else if (const auto* v = node.as_integer()) text = std::to_string(v->get());
-    else if (const auto* v = node.as_floating_point()) text = fmt::format("{}", v->get());
-    else if (const auto* v = node.as_boolean()) text = v->get() ? "true" : "false";
-    else throw InputError(path, name + " is neither text, number nor true/false", "see iris run --help for the options");
+    if (const auto* v = node.as_string())
+      text = v->get();
+    else if (const auto* v = node.as_integer())
+      text = std::to_string(v->get());
+    else if (const auto* v = node.as_floating_point())
+      text = fmt::format("{}", v->get());
+    else if (const auto* v = node.as_boolean())
+      text = v->get() ? "true" : "false";
+    else
+      throw InputError(path, name + " is neither text, number nor true/false", "see iris run --help for the options");
     try {
       set(name, text);
     } catch (const UsageError& error) {

@@ -4,7 +4,8 @@
 
 namespace iris::motion {
 
-void MotionChain::restore(std::vector<Restored> last_views) {
+void MotionChain::restore(std::vector<Restored> last_views, int submaps) {
+  submaps_ = submaps;
   views_.assign(std::make_move_iterator(last_views.begin()), std::make_move_iterator(last_views.end()));
 }
 
@@ -13,7 +14,6 @@ ChainStep MotionChain::push(ViewFeatures features, int frame_idx) {
   bool found = false;
   int tried = 0;
   for (auto view = views_.rbegin(); view != views_.rend() && tried <= options_.retry_views; ++view, ++tried) {
-    if (view->submap != views_.back().submap) break;
     const MotionEstimate estimate = estimate_motion(view->features, features, camera_, options_);
     found = estimate.status == MotionStatus::ok;
     // After a failure the estimate against the previous view tells best what happened.
@@ -27,7 +27,7 @@ ChainStep MotionChain::push(ViewFeatures features, int frame_idx) {
   }
   if (!found) {
     step.new_submap = true;
-    step.submap = views_.empty() ? 0 : views_.back().submap + 1;
+    step.submap = submaps_++;
     if (views_.empty()) step.estimate.corners = static_cast<int>(features.corners.size());
   }
   views_.push_back({frame_idx, std::move(features), step.world_from_cam, step.submap});

@@ -5,10 +5,8 @@
 namespace iris::views {
 
 ViewSummary summarise(const StereoView& view) {
-  ViewSummary summary{.frame_idx = view.frame_idx,
-                      .submap = view.submap,
-                      .camera = view.camera,
-                      .world_from_cam = view.world_from_cam};
+  ViewSummary summary{
+      .frame_idx = view.frame_idx, .submap = view.submap, .camera = view.camera, .world_from_cam = view.world_from_cam};
   float low = 0, high = 0;
   for (const float d : view.disparity.disparity) {
     if (d <= 0) continue;

@@ -38,7 +38,8 @@ class Database {
     const std::string message = sqlite3_errmsg(handle_);
     const char* remedy = "check the folder and its permissions, or choose another with -o";
     if (code == SQLITE_FULL) remedy = "free some space and run the same command again, it goes on where it stopped";
-    if (code == SQLITE_NOTADB || code == SQLITE_CORRUPT) remedy = "it is damaged; delete the output folder and run again";
+    if (code == SQLITE_NOTADB || code == SQLITE_CORRUPT)
+      remedy = "it is damaged; delete the output folder and run again";
     throw InputError(path_, message, remedy);
   }
 
@@ -50,7 +51,8 @@ class Database {
 class Statement {
  public:
   Statement(const Database& database, std::string_view sql) : database_(database) {
-    if (sqlite3_prepare_v2(database.handle(), sql.data(), static_cast<int>(sql.size()), &handle_, nullptr) != SQLITE_OK) {
+    if (sqlite3_prepare_v2(database.handle(), sql.data(), static_cast<int>(sql.size()), &handle_, nullptr) !=
+        SQLITE_OK) {
       database.fail();
     }
   }
@@ -99,7 +101,10 @@ class Statement {
     check(sqlite3_bind_text(handle_, at, value.data(), static_cast<int>(value.size()), SQLITE_TRANSIENT));
   }
   template <class Matrix>
-    requires requires(const Matrix& m) { m.data(); m.rows(); }
+  requires requires(const Matrix& m) {
+    m.data();
+    m.rows();
+  }
   void bind_one(int at, const Matrix& m) {
     check(sqlite3_bind_blob(handle_, at, m.data(), static_cast<int>(sizeof(double) * static_cast<size_t>(m.size())),
                             SQLITE_TRANSIENT));

@@ -45,8 +45,9 @@ void write_view(const fs::path& folder, const StereoView& view, int scale) {
     uint16_t* to = code[y];
     for (int x = 0; x < code.cols; ++x) {
       // A valid disparity stays valid: at least one unit.
-      to[x] = from[x] > 0 ? static_cast<uint16_t>(std::min(kMaxCode, std::max(1.0, std::nearbyint(from[x] * double(scale)))))
-                          : uint16_t{0};
+      to[x] = from[x] > 0
+                  ? static_cast<uint16_t>(std::min(kMaxCode, std::max(1.0, std::nearbyint(from[x] * double(scale)))))
+                  : uint16_t{0};
     }
   }
   write_file(file_of(folder, view.frame_idx, "left"), encode_png(view.image));

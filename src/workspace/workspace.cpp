@@ -50,7 +50,8 @@ class FolderLock {
     }
     if (flock(fd_, LOCK_EX | LOCK_NB) != 0) {
       ::close(fd_);
-      throw InputError(folder, "another iris is working in this folder", "wait for it, or choose another folder with -o");
+      throw InputError(folder, "another iris is working in this folder",
+                       "wait for it, or choose another folder with -o");
     }
   }
   ~FolderLock() { ::close(fd_); }
@@ -149,7 +150,7 @@ class CachedViewStore : public views::ViewStore {
 
 constexpr const char* kSelectFrame =
     "SELECT frame.frame_idx, stamp_ns, readable, message, submap, submap_from_cam, reference_frame, status, "
-    "reference_from_frame, covariance, corners, initial, consistent, used, rms_px, motion.frame_idx IS NOT NULL "
+    "reference_from_frame, covariance, corners, initial, consistent, used, rms_px "
     "FROM frame LEFT JOIN pose USING (frame_idx) LEFT JOIN motion USING (frame_idx) ";
 
 FrameRecord frame_of(const Statement& row) {
@@ -161,8 +162,6 @@ FrameRecord frame_of(const Statement& row) {
   if (!record.readable) return record;
   record.submap = static_cast<int>(row.integer(4));
   record.submap_from_cam = pose_of(row.matrix<Eigen::Matrix<double, 3, 4>>(5));
-  record.has_motion = row.integer(15) != 0;
-  if (!record.has_motion) return record;
   record.reference_frame = static_cast<int>(row.integer(6));
   record.motion.status = static_cast<MotionStatus>(row.integer(7));
   record.motion.prev_from_cur = pose_of(row.matrix<Eigen::Matrix<double, 3, 4>>(8));
@@ -230,9 +229,9 @@ Workspace Workspace::create(const fs::path& folder, const std::string& session_f
     }
     const auto owner = impl->text("about", "session_fingerprint");
     if (owner && *owner != session_fingerprint) {
-      throw InputError(folder,
-                       "holds the output of another session (" + impl->text("about", "session_folder").value_or("?") + ")",
-                       "choose another folder with -o, or delete this one");
+      throw InputError(
+          folder, "holds the output of another session (" + impl->text("about", "session_folder").value_or("?") + ")",
+          "choose another folder with -o, or delete this one");
     }
     impl->set_text("about", "schema", std::to_string(kSchema));
     impl->set_text("about", "session_fingerprint", session_fingerprint);
@@ -315,8 +314,6 @@ void Workspace::add_frame(const FrameRecord& record, const StereoView* view) {
     Statement(db, "INSERT INTO pose VALUES (?1, ?2, ?3)")
         .bind(record.frame_idx, record.submap, matrix_of(record.submap_from_cam))
         .step();
-  }
-  if (record.has_motion) {
     const MotionEstimate& m = record.motion;
     Statement(db, "INSERT INTO motion VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)")
         .bind(record.frame_idx, record.reference_frame, static_cast<int>(m.status), matrix_of(m.prev_from_cur),
@@ -341,6 +338,12 @@ int Workspace::frame_count() const {
 
 int Workspace::view_count() const {
   Statement count(impl_->database, "SELECT count(*) FROM view");
+  count.step();
+  return static_cast<int>(count.integer(0));
+}
+
+int Workspace::submap_count() const {
+  Statement count(impl_->database, "SELECT count(DISTINCT submap) FROM pose");
   count.step();
   return static_cast<int>(count.integer(0));
 }
@@ -380,7 +383,7 @@ PoseGraph Workspace::pose_graph(const Pose& world_from_submap) const {
                            .stamp_ns = record.stamp_ns,
                            .world_from_cam = world_from_submap * record.submap_from_cam,
                            .submap = record.submap});
-    if (record.has_motion && record.motion.status == MotionStatus::ok) {
+    if (record.reference_frame >= 0) {
       graph.edges.push_back({.i = record.reference_frame,
                              .j = record.frame_idx,
                              .i_from_j = record.motion.prev_from_cur,
@@ -391,7 +394,8 @@ PoseGraph Workspace::pose_graph(const Pose& world_from_submap) const {
   return graph;
 }
 
-std::unique_ptr<views::ViewStore> Workspace::views(const Pose& world_from_submap, int submap, size_t cache_bytes) const {
+std::unique_ptr<views::ViewStore> Workspace::views(const Pose& world_from_submap, int submap,
+                                                   size_t cache_bytes) const {
   Statement select(impl_->database,
                    "SELECT frame_idx, submap, f, cx, cy, baseline, disparity_offset, width, height, min_disparity, "
                    "max_disparity, disparity_scale, stamp_ns, submap_from_cam FROM view JOIN frame USING (frame_idx) "

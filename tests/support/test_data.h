@@ -12,7 +12,7 @@ inline std::filesystem::path test_data(const std::string& name) { return std::fi
 }  // namespace iris::testing
 
 // Ends the test with 'skipped: …' if the recording is not there.
-#define IRIS_NEEDS_TEST_DATA(name)                                                                        \
-  if (!std::filesystem::exists(::iris::testing::test_data(name))) {                                       \
+#define IRIS_NEEDS_TEST_DATA(name)                                                                          \
+  if (!std::filesystem::exists(::iris::testing::test_data(name))) {                                         \
     GTEST_SKIP() << "skipped: no " << ::iris::testing::test_data(name).string() << " (set IRIS_TEST_DATA)"; \
   }

@@ -21,7 +21,8 @@ using iris::testing::TemporaryFolder;
 StereoView test_view(int frame_idx, bool colour) {
   StereoView view;
   view.frame_idx = frame_idx;
-  view.camera = {.f = 100.25, .cx = 15.5, .cy = 9.75, .baseline = 0.11, .disparity_offset = 0.5, .width = 32, .height = 20};
+  view.camera = {
+      .f = 100.25, .cx = 15.5, .cy = 9.75, .baseline = 0.11, .disparity_offset = 0.5, .width = 32, .height = 20};
   view.image = cv::Mat(20, 32, colour ? CV_8UC3 : CV_8UC1);
   cv::RNG random(frame_idx + 7);
   random.fill(view.image, cv::RNG::UNIFORM, 0, 256);
@@ -38,10 +39,10 @@ StereoView test_view(int frame_idx, bool colour) {
 FrameRecord posed(int frame_idx, int submap) {
   FrameRecord record{.frame_idx = frame_idx, .stamp_ns = 1403636584763555584 + frame_idx};
   record.submap = submap;
-  record.submap_from_cam.linear() = Eigen::AngleAxisd(0.1 * frame_idx + 0.05, Eigen::Vector3d(1, 2, 3).normalized()).matrix();
+  record.submap_from_cam.linear() =
+      Eigen::AngleAxisd(0.1 * frame_idx + 0.05, Eigen::Vector3d(1, 2, 3).normalized()).matrix();
   record.submap_from_cam.translation() = Eigen::Vector3d(0.1, 1.0 / 3, -0.7) * frame_idx;
   if (frame_idx > 0) {
-    record.has_motion = true;
     record.reference_frame = frame_idx - 1;
     record.motion.status = MotionStatus::ok;
     record.motion.prev_from_cur = record.submap_from_cam.inverse();

@@ -1,6 +1,6 @@
-// Options, declared once. A stage's option struct holds the members with their defaults; its declare() adds each of them
-// to an OptionSet with unit, range and help. Command line, options file, range checks, --help and the fingerprint that
-// decides what must be computed again all come from that one declaration.
+// Options, declared once. A stage's option struct holds the members with their defaults; its declare() adds each of
+// them to an OptionSet with unit, range and help. Command line, options file, range checks, --help and the fingerprint
+// that decides what must be computed again all come from that one declaration.
 #pragma once
 
 #include <cstdint>
@@ -36,7 +36,8 @@ class OptionSet {
 
   const std::vector<Option>& options() const { return options_; }
 
-  // Sets one option from text. Throws UsageError for an unknown name (with the nearest known one) or text that is no value.
+  // Sets one option from text. Throws UsageError for an unknown name (with the nearest known one) or text that is no
+  // value.
   void set(std::string_view name, std::string_view text);
 
   // Reads a TOML file with [section] tables or dotted keys. Throws InputError naming the file and the key.

@@ -16,7 +16,8 @@ inline double rotation_angle(const Pose& pose) { return rotation_angle(pose.line
 // Nearest rotation to a matrix that is nearly one (keeps long chains of poses orthonormal).
 Eigen::Matrix3d nearest_rotation(const Eigen::Matrix3d& matrix);
 
-// Takes a level camera's frame (x right, y down, z forward) to a z-up frame with the same origin (x forward, y left, z up).
+// Takes a level camera's frame (x right, y down, z forward) to a z-up frame with the same origin (x forward, y left, z
+// up).
 Pose z_up_from_camera();
 
 }  // namespace iris

@@ -30,17 +30,19 @@ class MotionChain {
   MotionChain(const RectifiedCamera& camera, const ScsOptions& options) : camera_(camera), options_(options) {}
 
   // Goes on after earlier views, in their order: with the last retry_views + 1 of them (or all, if fewer) exactly as if
-  // it had never been interrupted.
-  void restore(std::vector<Restored> last_views);
+  // it had never been interrupted. `submaps`: how many sub-maps there are so far.
+  void restore(std::vector<Restored> last_views, int submaps);
 
   // The pose of the next view. Its motion is estimated against the previous view and, if that fails, against up to
-  // retry_views earlier ones of the same sub-map, most recent first.
+  // retry_views earlier ones, most recent first. They may belong to an earlier sub-map: a few spoilt views (blur, a hand
+  // before the lens) become a sub-map of their own and the path goes on behind them.
   ChainStep push(ViewFeatures features, int frame_idx);
 
  private:
   RectifiedCamera camera_;
   ScsOptions options_;
   std::deque<Restored> views_;  // the last retry_views + 1
+  int submaps_ = 0;
 };
 
 }  // namespace iris::motion

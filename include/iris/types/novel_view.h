@@ -14,16 +14,16 @@ enum class Projection { pinhole, equirectangular };
 // column looks along z), latitude over the height; f, cx, cy are unused.
 struct NovelCamera {
   Projection projection = Projection::pinhole;
-  int width = 0, height = 0;      // [px]
-  double f = 0, cx = 0, cy = 0;   // [px]
+  int width = 0, height = 0;     // [px]
+  double f = 0, cx = 0, cy = 0;  // [px]
   Pose world_from_cam = Pose::Identity();
 };
 
 // A picture from where no camera stood.
 struct NovelView {
-  cv::Mat3b image;         // BGR
-  cv::Mat1f depth;         // [m] true depth along the optical axis (pinhole) or range (equirectangular); 0 = hole
-  cv::Mat1s source;        // index of the source view, -1 = hole
+  cv::Mat3b image;   // BGR
+  cv::Mat1f depth;   // [m] true depth along the optical axis (pinhole) or range (equirectangular); 0 = hole
+  cv::Mat1s source;  // index of the source view, -1 = hole
 };
 
 // Keyframes of a virtual camera; t in seconds, ascending.

@@ -5,7 +5,8 @@
 
 namespace iris {
 
-// One recorded moment, as recorded: grey (CV_8UC1) or colour (CV_8UC3, BGR); 16-bit recordings are scaled to 8 by the reader.
+// One recorded moment, as recorded: grey (CV_8UC1) or colour (CV_8UC3, BGR); 16-bit recordings are scaled to 8 by the
+// reader.
 struct StereoFrame {
   int frame_idx = 0;     // counts the paired frames of the session from 0
   int64_t stamp_ns = 0;  // time of the left image

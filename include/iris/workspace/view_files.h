@@ -8,8 +8,8 @@
 
 namespace iris::workspace {
 
-// Disparities are stored as 16-bit integers in units of 1 / disparity_scale px: 256 as in KITTI's disparity images, or 128
-// if `max_disparity` [px] would not fit. 0 = none.
+// Disparities are stored as 16-bit integers in units of 1 / disparity_scale px: 256 as in KITTI's disparity images, or
+// 128 if `max_disparity` [px] would not fit. 0 = none.
 int disparity_scale(double max_disparity);
 
 // Writes the three files of a view, each whole or not at all. Throws InputError.

@@ -1,6 +1,6 @@
-// The run on disk. Small records (frames, motions, poses, views, finished stages) live in OUT/workspace.db (SQLite, WAL);
-// rasters are files beside it. A frame's files are complete before its record is committed, so that whatever the moment
-// of an interruption, every record refers to whole files and the next run goes on behind the last record.
+// The run on disk. Small records (frames, motions, poses, views, finished stages) live in OUT/workspace.db (SQLite,
+// WAL); rasters are files beside it. A frame's files are complete before its record is committed, so that whatever the
+// moment of an interruption, every record refers to whole files and the next run goes on behind the last record.
 #pragma once
 
 #include <cstdint>
@@ -28,9 +28,8 @@ struct FrameRecord {
   // Of readable frames:
   int submap = 0;
   Pose submap_from_cam = Pose::Identity();  // the sub-map's frame is its first camera
-  bool has_motion = false;                  // false for the first frame
-  int reference_frame = -1;                 // the earlier frame that `motion` is measured against
-  MotionEstimate motion;                    // of the last attempt; status tells whether it joined the frame to its reference
+  int reference_frame = -1;                 // the earlier frame that `motion` is measured against; -1: begins a sub-map
+  MotionEstimate motion;                    // status is ok only with a reference frame
 };
 
 // Record of a finished stage.
@@ -75,6 +74,7 @@ class Workspace {
   void for_each_frame(const std::function<void(const FrameRecord&)>& visit) const;
   std::optional<int> last_view_frame() const;
   int view_count() const;
+  int submap_count() const;
 
   // Poses of all readable frames and their odometry edges. world_from_submap takes each sub-map to its z-up world.
   PoseGraph pose_graph(const Pose& world_from_submap) const;

@@ -1,0 +1,83 @@
+// iris run SESSION -o OUT: the main job.
+#include <fmt/format.h>
+#include <spdlog/sinks/basic_file_sink.h>
+#include <spdlog/spdlog.h>
+
+#include <filesystem>
+#include <memory>
+
+#include "apps/iris/command.h"
+#include "iris/core/error.h"
+#include "iris/core/parallel.h"
+#include "iris/pipeline/frames.h"
+
+namespace iris::app {
+namespace fs = std::filesystem;
+namespace {
+
+struct Run {
+  explicit Run(CLI::App& command)
+      : arguments(command, {"session", "stereo", "motion", "views", "mapping", "octree", "scene", "render", "tour"}) {}
+  std::string session, out;
+  Arguments arguments;
+};
+
+void log_to_file(const fs::path& path) {
+  try {
+    auto sink = std::make_shared<spdlog::sinks::basic_file_sink_mt>(path.string());
+    sink->set_pattern("%Y-%m-%d %H:%M:%S.%e %l: %v");
+    spdlog::default_logger()->sinks().push_back(sink);
+    spdlog::default_logger()->flush_on(spdlog::level::info);
+  } catch (const spdlog::spdlog_ex& error) {
+    throw InputError(path, std::string("cannot be written (") + error.what() + ")", "check the folder's permissions");
+  }
+}
+
+int run(Run& run) {
+  Arguments& arguments = run.arguments;
+  arguments.resolve();
+  const fs::path out = run.out;
+  const auto session = session::open_session(run.session, arguments.options.library.session);
+  auto workspace = workspace::Workspace::create(out, fs::absolute(session->folder()).lexically_normal().string(),
+                                                fingerprint(session->fingerprint_text()));
+  log_to_file(out / "log.txt");
+  spdlog::info("{}: {}, {} stereo frames", session->folder().string(), session->kind(), session->size());
+  for (const std::string& note : session->notes()) spdlog::warn("{}", note);
+  write_options(out, arguments.set);
+
+  std::vector<pipeline::Stage> stages = {pipeline::frames_stage(*session, arguments.options.library)};
+  for (pipeline::Stage& stage : exporters::product_stages(arguments.options)) stages.push_back(std::move(stage));
+  with_threads(arguments.threads(),
+               [&] { pipeline::run_stages(stages, arguments.set, workspace, arguments.control()); });
+
+  const pipeline::FramesSummary summary = pipeline::summarise_frames(workspace);
+  spdlog::info("{} of {} frames have a pose, {:.2f} m of path, {} stored views", summary.posed, session->size(),
+               summary.path_length, summary.views);
+  if (summary.unreadable > 0) spdlog::warn("{} frames could not be read and were skipped", summary.unreadable);
+  if (summary.submaps > 1) {
+    spdlog::warn(
+        "the path broke into {} sub-maps whose relation is unknown; all are kept, maps and tour show the largest "
+        "(sub-map {})",
+        summary.submaps, summary.largest_submap);
+  }
+  spdlog::info("look at {0}/map/map.png, {0}/tour/tour.mp4, {0}/model/scene.glb", out.string());
+  return summary.complete() ? kGood : kIncomplete;
+}
+
+}  // namespace
+
+Command add_run(CLI::App& program) {
+  CLI::App* command =
+      program.add_subcommand("run",
+                             "The main job: path, maps, octree, 3-D scene and tour of a recorded session.\n"
+                             "The same command again resumes; with changed options it redoes only what they affect.");
+  auto state = std::make_shared<Run>(*command);
+  command
+      ->add_option("SESSION", state->session,
+                   "Recorded session: a folder (KITTI, EuRoC/ASL, two image folders, videos) or a video")
+      ->required();
+  command->add_option("-o,--output", state->out, "Output folder")->type_name("OUT")->required();
+  return [state] { return run(*state); };
+}
+
+}  // namespace iris::app

@@ -1,0 +1,162 @@
+#include "export/products.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <filesystem>
+#include <opencv2/imgcodecs.hpp>
+
+#include "export/map_file.h"
+#include "export/trajectory_file.h"
+#include "export/video_file.h"
+#include "iris/core/atomic_file.h"
+#include "iris/core/error.h"
+#include "iris/mapping/flog.h"
+#include "iris/pipeline/frames.h"
+#include "iris/tour/frames.h"
+#include "iris/tour/path_file.h"
+#include "iris/workspace/view_files.h"
+
+namespace iris::exporters {
+namespace fs = std::filesystem;
+namespace {
+
+using pipeline::RunControl;
+using pipeline::Stage;
+using workspace::Workspace;
+using Files = std::vector<std::string>;
+
+// Views kept in memory while they are read one after the other, and while a tour goes back and forth between them.
+constexpr size_t kStreamCache = 0;
+constexpr size_t kTourCache = size_t{256} << 20;
+
+std::unique_ptr<views::ViewStore> main_views(const Workspace& workspace, size_t cache_bytes) {
+  return workspace.views(pipeline::world_from_submap(), pipeline::summarise_frames(workspace).largest_submap,
+                         cache_bytes);
+}
+
+Files files_in(const fs::path& out, const char* folder) {
+  Files files;
+  for (const auto& entry : fs::recursive_directory_iterator(out / folder)) {
+    if (entry.is_regular_file()) files.push_back(fs::relative(entry.path(), out).string());
+  }
+  std::sort(files.begin(), files.end());
+  return files;
+}
+
+Files write_trajectory(const Workspace& workspace) {
+  const fs::path folder = workspace.folder() / "trajectory";
+  const PoseGraph graph = workspace.pose_graph(pipeline::world_from_submap());
+  write_tum(folder / "tum.txt", graph);
+  write_kitti(folder / "kitti.txt", graph, workspace.frame_count());
+  write_g2o(folder / "graph.g2o", graph);
+  return files_in(workspace.folder(), "trajectory");
+}
+
+Files write_maps(const Workspace& workspace, const mapping::FlogOptions& options, const RunControl& control) {
+  const auto views = main_views(workspace, kStreamCache);
+  const int count = static_cast<int>(views->summaries().size());
+  IRIS_CHECK(count > 0);
+  mapping::FlogBuilder builder(options, views->summaries().front().camera);
+  Progress progress(control.progress, "map", count);
+  for (int i = 0; i < count; ++i) {
+    if (control.stopped()) throw Interrupted();
+    builder.add(*views->load(i));
+    progress.update(i + 1);
+  }
+  write_map(workspace.folder() / "map", mapping::rasterise(builder.map(), options),
+            workspace.pose_graph(pipeline::world_from_submap()), views->summaries().front().submap);
+  return files_in(workspace.folder(), "map");
+}
+
+}  // namespace
+
+int write_tour(const Workspace& workspace, const RunOptions& options, const std::string& camera_path_file,
+               const fs::path& video, const fs::path& frames_folder, const RunControl& control) {
+  const auto views = main_views(workspace, kTourCache);
+  IRIS_CHECK(!views->summaries().empty());
+  const int submap = views->summaries().front().submap;
+  std::vector<PoseNode> nodes;
+  for (PoseNode& node : workspace.pose_graph(pipeline::world_from_submap()).nodes) {
+    if (node.submap == submap) nodes.push_back(node);
+  }
+  constexpr int kDepthSamples = 9;
+  tour::TourOptions tour_options = options.library.tour;
+  CameraPath path;
+  if (camera_path_file.empty()) {
+    path = tour::along(nodes, tour_options, views::median_depth(*views, kDepthSamples));
+  } else {
+    const tour::CameraPathFile file = tour::read_camera_path_file(camera_path_file);
+    path = file.path;
+    if (file.width > 0 && file.height > 0) {
+      // H.264 in its common form has even sides.
+      tour_options.width = file.width & ~1;
+      tour_options.height = file.height & ~1;
+    }
+    if (file.fps > 0) tour_options.fps = file.fps;
+  }
+
+  VideoWriter writer(video, tour_options.width, tour_options.height, tour_options.fps);
+  const int frames = tour::frame_count(path, tour_options);
+  Progress progress(control.progress, "tour", frames);
+  tour::render_tour(
+      path, nodes, *views, tour_options, options.library.render, [&](int frame_idx, int, const NovelView& view) {
+        if (control.stopped()) throw Interrupted();
+        writer.add(view.image);
+        if (!frames_folder.empty()) {
+          write_file(frames_folder / fmt::format("{:06}.png", frame_idx), workspace::encode_png(view.image));
+        }
+        progress.update(frame_idx + 1);
+      });
+  writer.close();
+  return frames;
+}
+
+std::vector<Stage> product_stages(const RunOptions& options) {
+  return {
+      Stage{.name = "trajectory",
+            .sections = {},
+            .after = {"frames"},
+            .inputs = {},
+            .run = [](Workspace& w, const RunControl&, const std::string&) { return write_trajectory(w); }},
+      Stage{.name = "map",
+            .sections = {"mapping"},
+            .after = {"frames"},
+            .inputs = {},
+            .run = [&options](Workspace& w, const RunControl& control,
+                              const std::string&) { return write_maps(w, options.library.mapping, control); }},
+      Stage{.name = "octree",
+            .sections = {"octree"},
+            .after = {"frames"},
+            .inputs = {},
+            .run =
+                [&options](Workspace& w, const RunControl&, const std::string&) {
+                  write_octree(w.folder() / "octree", *main_views(w, kStreamCache), options.octree);
+                  return files_in(w.folder(), "octree");
+                }},
+      Stage{.name = "scene",
+            .sections = {"scene"},
+            .after = {"frames"},
+            .inputs = {},
+            .run =
+                [&options](Workspace& w, const RunControl&, const std::string&) {
+                  const auto views = w.views(pipeline::world_from_submap(), -1, kStreamCache);
+                  write_scene(w.folder() / "model/scene.glb", w.pose_graph(pipeline::world_from_submap()), *views,
+                              options.scene, fs::path(w.session_folder()).filename().string());
+                  return Files{"model/scene.glb"};
+                }},
+      Stage{.name = "tour",
+            .sections = {"render", "tour"},
+            .after = {"frames"},
+            .inputs = {},
+            .run =
+                [&options](Workspace& w, const RunControl& control, const std::string&) {
+                  std::error_code ignored;
+                  fs::remove_all(w.folder() / "tour", ignored);
+                  write_tour(w, options, "", w.folder() / "tour/tour.mp4", w.folder() / "tour/frames", control);
+                  return files_in(w.folder(), "tour");
+                }},
+  };
+}
+
+}  // namespace iris::exporters

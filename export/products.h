@@ -1,0 +1,36 @@
+// The stages that write a run's products: trajectories, maps, octree, scene and tour.
+#pragma once
+
+#include <vector>
+
+#include "export/octree_file.h"
+#include "export/scene_file.h"
+#include "iris/pipeline/options.h"
+#include "iris/pipeline/pipeline.h"
+
+namespace iris::exporters {
+
+// The options of a whole run.
+struct RunOptions {
+  pipeline::Options library;
+  OctreeOptions octree;
+  SceneOptions scene;
+
+  void declare(OptionSet& set) {
+    library.declare(set);
+    octree.declare(set);
+    scene.declare(set);
+  }
+};
+
+// In order; each needs the stage "frames". Map, octree and tour show the sub-map with most poses, the scene and the
+// trajectories all of them. The options must outlive the stages.
+std::vector<pipeline::Stage> product_stages(const RunOptions& options);
+
+// Renders a tour into `video`; PNG frames too if `frames_folder` is not empty. Returns the number of frames.
+// `camera_path_file` is a camera path in JSON; empty = along the recorded path.
+int write_tour(const workspace::Workspace& workspace, const RunOptions& options, const std::string& camera_path_file,
+               const std::filesystem::path& video, const std::filesystem::path& frames_folder,
+               const pipeline::RunControl& control);
+
+}  // namespace iris::exporters

@@ -1,0 +1,33 @@
+// The streaming stage: every frame of the session is read, rectified, matched and registered; views are stored.
+#pragma once
+
+#include "iris/pipeline/options.h"
+#include "iris/pipeline/pipeline.h"
+#include "iris/rectify/rectifier.h"
+#include "iris/session/session.h"
+
+namespace iris::pipeline {
+
+// Frames flow through a bounded pipeline (read, rectify, match and corners in parallel; motion in order), so that
+// memory does not depend on their number. After an interruption the stage goes on behind the last committed frame with
+// a result equal, bit for bit, to that of an uninterrupted run. The session and the options must outlive the stage.
+Stage frames_stage(const session::Session& session, const Options& options);
+
+// What the stages after `frames` and the reports need to know of it.
+struct FramesSummary {
+  int frames = 0;      // in the session
+  int posed = 0;       // with a pose
+  int unreadable = 0;  // skipped: the image files are damaged
+  int submaps = 0;
+  int largest_submap = 0;  // the one with most poses (the first of several)
+  int views = 0;
+  double path_length = 0;  // [m] over all sub-maps
+
+  bool complete() const { return unreadable == 0 && submaps <= 1; }
+};
+FramesSummary summarise_frames(const workspace::Workspace& workspace);
+
+// The z-up world of a sub-map: origin in its first camera, x its viewing direction, y left, z up.
+Pose world_from_submap();
+
+}  // namespace iris::pipeline

@@ -1,0 +1,35 @@
+// The options of all stages of the library.
+#pragma once
+
+#include "iris/core/options.h"
+#include "iris/mapping/flog.h"
+#include "iris/motion/scs.h"
+#include "iris/render/dsnv.h"
+#include "iris/session/session.h"
+#include "iris/stereo/mwmf.h"
+#include "iris/tour/camera_path.h"
+#include "iris/views/selection.h"
+
+namespace iris::pipeline {
+
+struct Options {
+  session::SessionOptions session;
+  stereo::MwmfOptions stereo;
+  motion::ScsOptions motion;
+  views::ViewsOptions views;
+  mapping::FlogOptions mapping;
+  render::DsnvOptions render;
+  tour::TourOptions tour;
+
+  void declare(OptionSet& set) {
+    session.declare(set);
+    stereo.declare(set);
+    motion.declare(set);
+    views.declare(set);
+    mapping.declare(set);
+    render.declare(set);
+    tour.declare(set);
+  }
+};
+
+}  // namespace iris::pipeline

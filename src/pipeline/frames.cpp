@@ -1,0 +1,283 @@
+#include "iris/pipeline/frames.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+#include <tbb/parallel_pipeline.h>
+#include <tbb/task_arena.h>
+
+#include <map>
+#include <memory>
+
+#include "iris/core/error.h"
+#include "iris/core/parallel.h"
+#include "iris/motion/chain.h"
+#include "iris/stereo/search_range.h"
+
+namespace iris::pipeline {
+namespace {
+
+constexpr const char* kFramesFingerprint = "frames.fingerprint";
+constexpr const char* kDisparities = "stereo.disparities";
+
+// Part of a frame's measured pixels at the end of the search range from which on something nearer was probably missed.
+constexpr double kMaxAtLimit = 0.02;
+
+// A frame on its way through the pipeline.
+struct Item {
+  int frame_idx = 0;
+  int64_t stamp_ns = 0;
+  StereoFrame frame;
+  std::string unreadable;  // why, if it is
+  StereoPair pair;
+  DisparityImage disparity;
+  motion::ViewFeatures features;
+};
+
+class FrameStream {
+ public:
+  FrameStream(const session::Session& session, const Options& options, int disparities)
+      : session_(session), options_(options), stereo_(options.stereo), rectifier_(session.calibration()) {
+    stereo_.disparities = disparities;
+  }
+
+  const RectifiedCamera& camera() const { return rectifier_.camera(); }
+  const stereo::MwmfOptions& stereo_options() const { return stereo_; }
+
+  // A damaged image costs its frame, not the run.
+  void read(Item& item) const {
+    try {
+      item.frame = session_.read(item.frame_idx);
+    } catch (const InputError& error) {
+      item.unreadable = error.what();
+    }
+  }
+
+  void compute(Item& item) const {
+    item.pair = rectifier_.rectify(item.frame);
+    item.frame = {};
+    item.disparity = stereo::mwmf(item.pair.left, item.pair.right, stereo_);
+    item.features = motion::extract_features(item.pair.left, item.disparity, camera(), options_.motion);
+  }
+
+ private:
+  const session::Session& session_;
+  const Options& options_;
+  stereo::MwmfOptions stereo_;
+  rectify::Rectifier rectifier_;
+};
+
+// Looks at frames spread over the session. Throws the first frame's error if none of them can be read: then it is the
+// session that is wrong, not a frame.
+int find_disparities(const session::Session& session, const Options& options) {
+  constexpr int kSamples = 12;
+  const rectify::Rectifier rectifier(session.calibration());
+  const int samples = std::min(kSamples, session.size());
+  std::vector<std::unique_ptr<StereoPair>> pairs(static_cast<size_t>(samples));
+  std::vector<std::string> errors(static_cast<size_t>(samples));
+  const auto read_sample = [&](int i) {
+    const int frame_idx = static_cast<int>((static_cast<int64_t>(session.size()) * (2 * i + 1)) / (2 * samples));
+    try {
+      pairs[i] = std::make_unique<StereoPair>(rectifier.rectify(session.read(frame_idx)));
+    } catch (const InputError& error) {
+      errors[i] = error.what();
+    }
+  };
+  if (session.random_access()) {
+    parallel_chunks(0, samples, 1, [&](int begin, int end) {
+      for (int i = begin; i < end; ++i) read_sample(i);
+    });
+  } else {
+    for (int i = 0; i < samples; ++i) read_sample(i);
+  }
+  std::vector<StereoPair> readable;
+  for (auto& pair : pairs) {
+    if (pair) readable.push_back(std::move(*pair));
+  }
+  if (readable.empty()) {
+    throw InputError(session.folder(), fmt::format("none of {} frames looked at can be used; {}", samples, errors[0]),
+                     "check the images and the calibration");
+  }
+  if (options.stereo.disparities > 0) return options.stereo.disparities;
+  const stereo::SearchRange range = stereo::estimate_search_range(readable, options.stereo);
+  spdlog::info("search range: {} disparities (largest of {} sparse matches in {} frames: {:.1f} px)", range.disparities,
+               range.matches, readable.size(), range.largest);
+  return range.disparities;
+}
+
+// The chain's memory of the last frames, computed again as they were computed before the interruption.
+std::vector<motion::MotionChain::Restored> restore_frames(const FrameStream& stream,
+                                                          const std::vector<workspace::FrameRecord>& records,
+                                                          bool random_access) {
+  std::vector<motion::MotionChain::Restored> restored(records.size());
+  const auto restore = [&](int i) {
+    Item item{.frame_idx = records[i].frame_idx, .stamp_ns = records[i].stamp_ns};
+    stream.read(item);
+    if (!item.unreadable.empty()) throw std::runtime_error(item.unreadable);
+    stream.compute(item);
+    restored[i] = {.frame_idx = item.frame_idx,
+                   .features = std::move(item.features),
+                   .world_from_cam = records[i].submap_from_cam,
+                   .submap = records[i].submap};
+  };
+  const int count = static_cast<int>(records.size());
+  parallel_chunks(0, count, random_access ? 1 : std::max(1, count), [&](int begin, int end) {
+    for (int i = begin; i < end; ++i) restore(i);
+  });
+  return restored;
+}
+
+std::vector<std::string> run_frames(const session::Session& session, const Options& options,
+                                    workspace::Workspace& workspace, const RunControl& control,
+                                    const std::string& fingerprint) {
+  if (workspace.value(kFramesFingerprint) != fingerprint) {
+    workspace.clear_frames();
+    workspace.set_value(kDisparities, std::to_string(find_disparities(session, options)));
+    workspace.set_value(kFramesFingerprint, fingerprint);
+  }
+  const FrameStream stream(session, options, std::stoi(*workspace.value(kDisparities)));
+
+  motion::MotionChain chain(stream.camera(), options.motion);
+  const int first = workspace.frame_count();
+  Pose last_view_pose = Pose::Identity();
+  int last_view_submap = -1;
+  if (first > 0) {
+    spdlog::info("frames: going on behind frame {} of {}", first, session.size());
+    chain.restore(
+        restore_frames(stream, workspace.last_posed_frames(options.motion.retry_views + 1), session.random_access()),
+        workspace.submap_count());
+    if (const auto view = workspace.last_view_frame()) {
+      const auto record = workspace.frame(*view);
+      last_view_pose = record->submap_from_cam;
+      last_view_submap = record->submap;
+    }
+  }
+
+  Progress progress(control.progress, "frames", session.size());
+  progress.update(first);
+  int next = first;
+  const bool read_in_order = !session.random_access();
+  int at_limit = 0, registered = 0;
+
+  const auto source = [&](tbb::flow_control& flow) -> std::shared_ptr<Item> {
+    if (next >= session.size() || control.stopped()) {
+      flow.stop();
+      return nullptr;
+    }
+    auto item = std::make_shared<Item>();
+    item->frame_idx = next++;
+    item->stamp_ns = session.stamp_ns(item->frame_idx);
+    if (read_in_order) stream.read(*item);
+    return item;
+  };
+  const auto compute = [&](std::shared_ptr<Item> item) {
+    if (!read_in_order) stream.read(*item);
+    if (item->unreadable.empty()) stream.compute(*item);
+    return item;
+  };
+  const auto register_frame = [&](std::shared_ptr<Item> item) {
+    workspace::FrameRecord record{.frame_idx = item->frame_idx, .stamp_ns = item->stamp_ns};
+    if (!item->unreadable.empty()) {
+      spdlog::warn("frame {} is skipped: {}", item->frame_idx, item->unreadable);
+      record.readable = false;
+      record.message = item->unreadable;
+      workspace.add_frame(record, nullptr);
+      progress.update(item->frame_idx + 1);
+      return;
+    }
+    const motion::ChainStep step = chain.push(std::move(item->features), item->frame_idx);
+    record.submap = step.submap;
+    record.submap_from_cam = step.world_from_cam;
+    record.reference_frame = step.reference_frame;
+    record.motion = step.estimate;
+    if (step.new_submap && step.submap > 0) {
+      spdlog::warn(
+          "frame {}: no motion against the last {} views ({} usable corners, {} consistent); sub-map {} begins",
+          item->frame_idx, options.motion.retry_views, step.estimate.corners, step.estimate.consistent, step.submap);
+    }
+    ++registered;
+    if (stereo::fraction_at_limit(item->disparity, stream.stereo_options()) > kMaxAtLimit) ++at_limit;
+
+    const bool stored = step.submap != last_view_submap ||
+                        views::is_new_view(last_view_pose, step.world_from_cam, stream.camera(), options.views);
+    if (stored) {
+      const StereoView view{
+          .frame_idx = item->frame_idx,
+          .stamp_ns = item->stamp_ns,
+          .submap = step.submap,
+          .camera = stream.camera(),
+          .image = item->pair.left_colour.empty() ? cv::Mat(item->pair.left) : cv::Mat(item->pair.left_colour),
+          .disparity = std::move(item->disparity),
+          .world_from_cam = step.world_from_cam};
+      workspace.add_frame(record, &view);
+      last_view_pose = step.world_from_cam;
+      last_view_submap = step.submap;
+    } else {
+      workspace.add_frame(record, nullptr);
+    }
+    progress.update(item->frame_idx + 1);
+  };
+
+  // Enough frames in flight to keep all threads busy while one registers; memory is bounded by them.
+  const size_t in_flight = static_cast<size_t>(tbb::this_task_arena::max_concurrency()) + 2;
+  tbb::parallel_pipeline(
+      in_flight,
+      tbb::make_filter<void, std::shared_ptr<Item>>(tbb::filter_mode::serial_in_order, source) &
+          tbb::make_filter<std::shared_ptr<Item>, std::shared_ptr<Item>>(tbb::filter_mode::parallel, compute) &
+          tbb::make_filter<std::shared_ptr<Item>, void>(tbb::filter_mode::serial_in_order, register_frame));
+  if (next < session.size()) throw Interrupted();
+
+  if (at_limit > 0) {
+    spdlog::warn(
+        "{} of {} frames have surfaces nearer than the search range reaches; run with a larger "
+        "--stereo.disparities to see them",
+        at_limit, registered);
+  }
+  if (summarise_frames(workspace).posed == 0) {
+    throw InputError(session.folder(), "none of its frames could be used", "see the log for the reason of each");
+  }
+  return {};
+}
+
+}  // namespace
+
+Stage frames_stage(const session::Session& session, const Options& options) {
+  return {.name = "frames",
+          .sections = {"session", "stereo", "motion", "views"},
+          .after = {},
+          .inputs = session.fingerprint_text(),
+          .run = [&session, &options](workspace::Workspace& workspace, const RunControl& control,
+                                      const std::string& fingerprint) {
+            return run_frames(session, options, workspace, control, fingerprint);
+          }};
+}
+
+FramesSummary summarise_frames(const workspace::Workspace& workspace) {
+  FramesSummary summary;
+  std::map<int, int> poses_of_submap;
+  std::map<int, Eigen::Vector3d> last_position;
+  workspace.for_each_frame([&](const workspace::FrameRecord& record) {
+    ++summary.frames;
+    if (!record.readable) {
+      ++summary.unreadable;
+      return;
+    }
+    ++summary.posed;
+    const Eigen::Vector3d position = record.submap_from_cam.translation();
+    if (poses_of_submap[record.submap]++ > 0) summary.path_length += (position - last_position[record.submap]).norm();
+    last_position[record.submap] = position;
+  });
+  summary.submaps = static_cast<int>(poses_of_submap.size());
+  int most = 0;
+  for (const auto& [submap, poses] : poses_of_submap) {
+    if (poses > most) {
+      most = poses;
+      summary.largest_submap = submap;
+    }
+  }
+  summary.views = workspace.view_count();
+  return summary;
+}
+
+Pose world_from_submap() { return z_up_from_camera(); }
+
+}  // namespace iris::pipeline

@@ -1,0 +1,320 @@
+// The program as its users call it: exit codes, messages, resuming, the same bytes every time.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <map>
+#include <opencv2/imgcodecs.hpp>
+#include <random>
+#include <thread>
+
+#include "iris/core/atomic_file.h"
+#include "support/program.h"
+#include "support/synthetic_session.h"
+#include "support/temporary_folder.h"
+
+namespace iris {
+namespace {
+
+namespace fs = std::filesystem;
+using iris::testing::run_program;
+using iris::testing::TemporaryFolder;
+using iris::testing::write_synthetic_session;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+// Small pictures and a short tour: the tests look at behaviour, not at quality.
+const std::vector<std::string> kFast = {"--stereo.disparities", "48",  "--tour.seconds", "1", "--tour.width", "160",
+                                        "--tour.height",        "120", "--quiet"};
+
+std::vector<std::string> run_arguments(const fs::path& session, const fs::path& out,
+                                       std::vector<std::string> more = {}) {
+  std::vector<std::string> arguments = {"run", session.string(), "-o", out.string()};
+  arguments.insert(arguments.end(), kFast.begin(), kFast.end());
+  arguments.insert(arguments.end(), more.begin(), more.end());
+  return arguments;
+}
+
+// Everything a run makes, but for its records and its log.
+std::map<std::string, std::string> products_of(const fs::path& out) {
+  std::map<std::string, std::string> files;
+  for (const auto& entry : fs::recursive_directory_iterator(out)) {
+    const std::string name = fs::relative(entry.path(), out).string();
+    if (!entry.is_regular_file() || name.starts_with("workspace.db") || name == "log.txt" || name == ".lock") continue;
+    files[name] = read_file(entry.path());
+  }
+  return files;
+}
+
+void expect_equal_products(const fs::path& expected, const fs::path& actual) {
+  const auto a = products_of(expected), b = products_of(actual);
+  ASSERT_GT(a.size(), 15u);
+  for (const auto& [name, bytes] : a) {
+    ASSERT_TRUE(b.contains(name)) << name << " is missing";
+    EXPECT_TRUE(b.at(name) == bytes) << name << " differs";
+  }
+  EXPECT_EQ(a.size(), b.size());
+}
+
+class Cli : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = new TemporaryFolder;
+    write_synthetic_session(session(), 14);
+    const auto result = run_program(run_arguments(session(), folder_->path() / "reference", {"--threads", "1"}));
+    ASSERT_EQ(result.exit_code, 0) << result.output;
+  }
+  static void TearDownTestSuite() {
+    delete folder_;
+    folder_ = nullptr;
+  }
+  static fs::path session() { return folder_->path() / "session"; }
+  static fs::path reference() { return folder_->path() / "reference"; }
+  static fs::path fresh(const std::string& name) {
+    fs::remove_all(folder_->path() / name);
+    return folder_->path() / name;
+  }
+  // A copy of the session that a test may damage.
+  static fs::path copied(const std::string& name) {
+    const fs::path copy = fresh(name);
+    fs::copy(session(), copy, fs::copy_options::recursive);
+    return copy;
+  }
+
+  static TemporaryFolder* folder_;
+};
+TemporaryFolder* Cli::folder_ = nullptr;
+
+TEST_F(Cli, RunWritesEveryProduct) {
+  for (const char* file :
+       {"trajectory/tum.txt", "trajectory/kitti.txt", "trajectory/graph.g2o", "map/map.png", "map/map.pgm",
+        "map/map.yaml", "map/map.pgw", "map/layers.png", "octree/map.bt", "octree/map.ot", "model/scene.glb",
+        "tour/tour.mp4", "tour/frames/000000.png", "views/000000.left.png", "views/000000.disparity.png",
+        "views/000000.origin.png", "options.toml", "log.txt", "workspace.db"}) {
+    EXPECT_TRUE(fs::exists(reference() / file)) << file;
+  }
+}
+
+TEST_F(Cli, ThePathIsTheSimulatedOne) {
+  std::istringstream lines(read_file(reference() / "trajectory/tum.txt"));
+  double t, x, y, z, qx, qy, qz, qw;
+  int count = 0;
+  while (lines >> t >> x >> y >> z >> qx >> qy >> qz >> qw) {
+    // World: x forward, y left, z up; 0.1 px of a corner's position is 5 mm at the scene's distance, and a hundred
+    // corners are averaged.
+    const Eigen::Vector3d truth = iris::testing::synthetic_position(count);
+    EXPECT_LT((Eigen::Vector3d(x, y, z) - truth).norm(), 0.01) << "frame " << count;
+    ++count;
+  }
+  EXPECT_EQ(count, 14);
+}
+
+TEST_F(Cli, TwoThreadsGiveTheSameBytes) {
+  const fs::path out = fresh("two_threads");
+  ASSERT_EQ(run_program(run_arguments(session(), out, {"--threads", "2"})).exit_code, 0);
+  expect_equal_products(reference(), out);
+}
+
+TEST_F(Cli, KilledAtRandomMomentsItEndsWithTheSameBytes) {
+  const fs::path out = fresh("killed");
+  std::mt19937 random(5);
+  int kills = 0;
+  for (int attempt = 0; kills < 10 && attempt < 40; ++attempt) {
+    const int milliseconds = std::uniform_int_distribution<>(20, 1500)(random);
+    if (iris::testing::start_and_kill(run_arguments(session(), out), std::chrono::milliseconds(milliseconds))) ++kills;
+  }
+  EXPECT_GE(kills, 1);
+  ASSERT_EQ(run_program(run_arguments(session(), out)).exit_code, 0);
+  expect_equal_products(reference(), out);
+}
+
+TEST_F(Cli, InterruptedItSaysSoAndGoesOn) {
+  const fs::path out = fresh("interrupted");
+  const int code =
+      iris::testing::start_and_signal(run_arguments(session(), out), std::chrono::milliseconds(300), SIGINT);
+  EXPECT_TRUE(code == 130 || code == 0) << code;
+  ASSERT_EQ(run_program(run_arguments(session(), out)).exit_code, 0);
+  expect_equal_products(reference(), out);
+}
+
+TEST_F(Cli, ChangedOptionsRedoTheirStageAndNothingBefore) {
+  const fs::path out = fresh("changed");
+  fs::copy(reference(), out, fs::copy_options::recursive);
+  const auto frames_time = fs::last_write_time(out / "views/000000.left.png");
+  const auto scene_time = fs::last_write_time(out / "model/scene.glb");
+  const auto map_time = fs::last_write_time(out / "map/map.pgm");
+  auto arguments = run_arguments(session(), out, {"--mapping.cell", "0.1"});
+  ASSERT_EQ(run_program(arguments).exit_code, 0);
+  EXPECT_EQ(fs::last_write_time(out / "views/000000.left.png"), frames_time);
+  EXPECT_EQ(fs::last_write_time(out / "model/scene.glb"), scene_time);
+  EXPECT_NE(fs::last_write_time(out / "map/map.pgm"), map_time);
+  EXPECT_THAT(read_file(out / "map/map.yaml"), HasSubstr("resolution: 0.1"));
+
+  // An option of the matcher changes everything.
+  ASSERT_EQ(run_program(run_arguments(session(), out, {"--stereo.min_segment", "50"})).exit_code, 0);
+  EXPECT_NE(fs::last_write_time(out / "views/000000.left.png"), frames_time);
+  EXPECT_NE(fs::last_write_time(out / "model/scene.glb"), scene_time);
+
+  // And back: equal to the first result again.
+  ASSERT_EQ(run_program(run_arguments(session(), out)).exit_code, 0);
+  expect_equal_products(reference(), out);
+}
+
+TEST_F(Cli, ARemovedProductIsMadeAgain) {
+  const fs::path out = fresh("removed");
+  fs::copy(reference(), out, fs::copy_options::recursive);
+  fs::remove(out / "map/map.png");
+  ASSERT_EQ(run_program(run_arguments(session(), out)).exit_code, 0);
+  expect_equal_products(reference(), out);
+}
+
+TEST_F(Cli, ATruncatedImageCostsItsFrameOnly) {
+  const fs::path damaged = copied("truncated"), out = fresh("truncated_out");
+  fs::resize_file(damaged / "left/000005.png", fs::file_size(damaged / "left/000005.png") / 2);
+  const auto result = run_program(run_arguments(damaged, out));
+  EXPECT_EQ(result.exit_code, 4) << result.output;
+  EXPECT_THAT(result.output, AllOf(HasSubstr("frame 5 is skipped"), HasSubstr("000005.png")));
+  std::istringstream kitti(read_file(out / "trajectory/kitti.txt"));
+  std::string line;
+  int count = 0;
+  while (std::getline(kitti, line)) {
+    EXPECT_EQ(line.find("nan") != std::string::npos, count == 5) << line;
+    ++count;
+  }
+  EXPECT_EQ(count, 14);
+  EXPECT_THAT(run_program({"info", out.string()}).output, HasSubstr("000005.png"));
+}
+
+TEST_F(Cli, WrongUsageIsExitCode2) {
+  EXPECT_EQ(run_program({}).exit_code, 2);
+  EXPECT_EQ(run_program({"fly", session().string()}).exit_code, 2);
+  const auto unknown = run_program({"run", session().string(), "-o", fresh("x").string(), "--stereo.disparites", "64"});
+  EXPECT_EQ(unknown.exit_code, 2);
+  EXPECT_THAT(unknown.output, HasSubstr("did you mean stereo.disparities?"));
+  const auto range = run_program(
+      {"run", session().string(), "-o", fresh("x").string(), "--stereo.disparities", "5000", "--mapping.cell", "-1"});
+  EXPECT_EQ(range.exit_code, 2);
+  EXPECT_THAT(range.output, AllOf(HasSubstr("stereo.disparities = 5000"), HasSubstr("mapping.cell = -1")));
+  write_file(folder_->path() / "bad.toml", "[stereo]\ndisparites = 64\n");
+  const auto file = run_program(
+      {"run", session().string(), "-o", fresh("x").string(), "--config", (folder_->path() / "bad.toml").string()});
+  EXPECT_EQ(file.exit_code, 2);
+  EXPECT_THAT(file.output, AllOf(HasSubstr("bad.toml"), HasSubstr("did you mean stereo.disparities?")));
+  EXPECT_EQ(run_program({"--help"}).exit_code, 0);
+  EXPECT_THAT(run_program({"run", "--help"}).output, AllOf(HasSubstr("--stereo.disparities"), HasSubstr("px")));
+}
+
+TEST_F(Cli, TheCommandLineWinsOverTheFileAndTheFileOverTheDefault) {
+  const fs::path out = fresh("precedence");
+  write_file(folder_->path() / "good.toml", "mapping.cell = 0.2\n[tour]\nfps = 5.0\n");
+  ASSERT_EQ(run_program(run_arguments(session(), out,
+                                      {"--config", (folder_->path() / "good.toml").string(), "--mapping.cell", "0.1"}))
+                .exit_code,
+            0);
+  const std::string options = read_file(out / "options.toml");
+  EXPECT_THAT(options, AllOf(HasSubstr("cell = 0.1 "), HasSubstr("fps = 5.0 ")));
+}
+
+TEST_F(Cli, BadInputIsExitCode3AndNamesFileProblemAndRemedy) {
+  const auto expect = [&](const fs::path& input, const fs::path& out, const std::vector<std::string>& words) {
+    const auto result = run_program(run_arguments(input, out));
+    EXPECT_EQ(result.exit_code, 3) << result.output;
+    for (const std::string& word : words) EXPECT_THAT(result.output, HasSubstr(word));
+  };
+  const fs::path nowhere = fresh("nowhere");
+  expect(nowhere, fresh("o"), {nowhere.string()});
+  const fs::path empty = fresh("empty");
+  fs::create_directories(empty);
+  expect(empty, fresh("o"), {empty.string()});
+
+  const fs::path sizes = copied("sizes");
+  for (int i = 0; i < 14; ++i) {
+    char name[16];
+    std::snprintf(name, sizeof name, "%06d.png", i);
+    cv::imwrite((sizes / "right" / name).string(), cv::Mat1b(60, 80, uint8_t(7)));
+  }
+  expect(sizes, fresh("o"), {"80 x 60"});
+
+  const std::string calibration = read_file(session() / "calibration.yaml");
+  const auto with_calibration = [&](const std::string& from, const std::string& to,
+                                    const std::vector<std::string>& words) {
+    const fs::path folder = copied("calibration");
+    std::string text = calibration;
+    const size_t at = text.find(from);
+    ASSERT_NE(at, std::string::npos) << from;
+    write_file(folder / "calibration.yaml", text.replace(at, from.size(), to));
+    expect(folder, fresh("o"), words);
+  };
+  const std::string size = "image_width: 320",
+                    rotation = "R: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1., ";
+  with_calibration(size, "image_width: 640", {"640"});
+  with_calibration("data: [ -0.1, 0., 0. ]", "data: [ 0., 0., 0. ]", {"calibration.yaml", "baseline"});
+  with_calibration("data: [ -0.1, 0., 0. ]", "data: [ 0.1, 0., 0. ]", {"calibration.yaml"});
+  with_calibration("data: [ -0.1, 0., 0. ]", "data: [ .nan, 0., 0. ]", {"calibration.yaml"});
+  with_calibration(rotation, rotation.substr(0, rotation.size() - 4) + "2., ", {"calibration.yaml", "rotation"});
+
+  // The output of another session.
+  const fs::path other = copied("other");
+  fs::remove(other / "left/000013.png");
+  fs::remove(other / "right/000013.png");
+  expect(other, reference(), {"another session"});
+  // A folder that cannot be made, and one that holds something else.
+  expect(session(), session() / "calibration.yaml/out", {"calibration.yaml"});
+  expect(session(), session(), {"choose"});
+  EXPECT_EQ(run_program({"tour", session().string(), "-o", "x.mp4"}).exit_code, 3);
+}
+
+TEST_F(Cli, AFullDiskIsReportedAndNothingIsLost) {
+  // A limit on the size of files stands for the full disk: writing fails half-way with an error of its own.
+  const fs::path out = fresh("full");
+  const auto result = run_program(run_arguments(session(), out), /*largest_file=*/200 * 1024);
+  EXPECT_EQ(result.exit_code, 3) << result.output;
+  EXPECT_THAT(result.output, HasSubstr("run the same command again"));
+  ASSERT_EQ(run_program(run_arguments(session(), out)).exit_code, 0);
+  expect_equal_products(reference(), out);
+}
+
+TEST_F(Cli, InfoTellsOfSessionsAndOutputs) {
+  const auto recorded = run_program({"info", session().string()});
+  EXPECT_EQ(recorded.exit_code, 0);
+  EXPECT_THAT(recorded.output, AllOf(HasSubstr("frames       14"), HasSubstr("320 x 240"), HasSubstr("baseline 0.1")));
+  const auto made = run_program({"info", reference().string()});
+  EXPECT_EQ(made.exit_code, 0);
+  EXPECT_THAT(made.output, AllOf(HasSubstr("14 with a pose"), HasSubstr("1 sub-maps"), HasSubstr("model/scene.glb")));
+}
+
+TEST_F(Cli, RectifyWritesASessionAndStereoItsDisparities) {
+  const fs::path rectified = fresh("rectified");
+  ASSERT_EQ(run_program({"rectify", session().string(), "-o", rectified.string(), "--quiet"}).exit_code, 0);
+  EXPECT_THAT(run_program({"info", rectified.string()}).output, HasSubstr("frames       14"));
+  const fs::path disparity = folder_->path() / "d.png";
+  ASSERT_EQ(run_program({"stereo", (rectified / "left/000003.png").string(), (rectified / "right/000003.png").string(),
+                         "-o", disparity.string(), "--picture", (folder_->path() / "p.png").string()})
+                .exit_code,
+            0);
+  const cv::Mat code = cv::imread(disparity.string(), cv::IMREAD_UNCHANGED);
+  ASSERT_EQ(code.type(), CV_16UC1);
+  EXPECT_GT(cv::countNonZero(code), code.rows * code.cols / 2);
+  EXPECT_EQ(run_program({"stereo", (rectified / "left/000003.png").string(), "nothing.png", "-o", "x.png"}).exit_code,
+            3);
+}
+
+TEST_F(Cli, ExportAndTourMakeProductsAgain) {
+  const fs::path out = fresh("exported");
+  fs::copy(reference(), out, fs::copy_options::recursive);
+  const auto scene_time = fs::last_write_time(out / "model/scene.glb");
+  ASSERT_EQ(run_program({"export", out.string(), "--only", "map", "--mapping.cell", "0.2", "--quiet"}).exit_code, 0);
+  EXPECT_THAT(read_file(out / "map/map.yaml"), HasSubstr("resolution: 0.2"));
+  EXPECT_EQ(fs::last_write_time(out / "model/scene.glb"), scene_time);
+  EXPECT_EQ(run_program({"export", out.string(), "--only", "sculpture"}).exit_code, 2);
+  const fs::path video = folder_->path() / "other.mp4";
+  ASSERT_EQ(run_program({"tour", out.string(), "-o", video.string(), "--tour.seconds", "1", "--quiet"}).exit_code, 0);
+  EXPECT_GT(fs::file_size(video), 1000u);
+}
+
+}  // namespace
+}  // namespace iris

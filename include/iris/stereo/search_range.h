@@ -1,0 +1,27 @@
+// The range of disparities that a recording needs.
+#pragma once
+
+#include <vector>
+
+#include "iris/stereo/mwmf.h"
+#include "iris/types/stereo_frame.h"
+
+namespace iris::stereo {
+
+struct SearchRange {
+  int disparities = 64;  // [px] number of disparities to search from options.min_disparity on; a multiple of 16
+  int matches = 0;    // measured pixels (of the images at half size) that this rests on; 0 = nothing could be matched,
+                      // `disparities` is then a guess
+  float largest = 0;  // [px] largest disparity that was found
+};
+
+// Correlates sample pairs at half their size over a range up to min(512, width / 2) px and takes the largest disparity
+// that a surface of at least 0.1 % of a frame has, plus a margin for what comes nearer between the samples. A dozen
+// pairs spread over the recording do. The value of options.disparities is not used.
+SearchRange estimate_search_range(const std::vector<StereoPair>& sample_pairs, const MwmfOptions& options);
+
+// Fraction of the measured pixels whose disparity is within 2 px of the upper end of the search range: nearly none as
+// long as the range is wide enough. 0 if nothing was measured.
+double fraction_at_limit(const DisparityImage& disparity, const MwmfOptions& options);
+
+}  // namespace iris::stereo

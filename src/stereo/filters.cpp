@@ -1,0 +1,149 @@
+#include "filters.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "iris/core/parallel.h"
+
+namespace iris::stereo {
+namespace {
+
+constexpr int kRowsPerChunk = 32;
+
+}  // namespace
+
+void reject_ambiguous(const Correlation& correlation, int min_margin, cv::Mat1w& winner) {
+  parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
+    for (int y = y0; y < y1; ++y) {
+      const uint16_t* cost = correlation.cost[y];
+      const uint16_t* second = correlation.second[y];
+      uint16_t* w = winner[y];
+      for (int x = 0; x < winner.cols; ++x) {
+        const bool ambiguous = second[x] == Correlation::kNone || second[x] - cost[x] < min_margin;
+        w[x] = ambiguous ? Correlation::kNone : w[x];
+      }
+    }
+  });
+}
+
+void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double tolerance, cv::Mat1w& winner) {
+  const int largest = static_cast<int>(std::floor(tolerance));
+  parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
+    for (int y = y0; y < y1; ++y) {
+      const uint16_t* from_right = right_winner[y];
+      uint16_t* w = winner[y];
+      for (int x = 0; x < winner.cols; ++x) {
+        if (w[x] == Correlation::kNone) continue;
+        const int other = from_right[x - min_disparity - w[x]];
+        if (std::abs(other - w[x]) > largest) w[x] = Correlation::kNone;
+      }
+    }
+  });
+}
+
+cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, float smallest) {
+  cv::Mat1f disparity(winner.size());
+  parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
+    for (int y = y0; y < y1; ++y) {
+      const uint16_t* w = winner[y];
+      const uint16_t* cost = correlation.cost[y];
+      const uint16_t* before = correlation.before[y];
+      const uint16_t* after = correlation.after[y];
+      float* out = disparity[y];
+      for (int x = 0; x < winner.cols; ++x) {
+        const int steeper = std::max(before[x], after[x]) - cost[x];
+        const bool inside = std::max(before[x], after[x]) != Correlation::kNone && steeper > 0;
+        const float offset = inside ? 0.5f * (before[x] - after[x]) / static_cast<float>(std::max(1, steeper)) : 0.0f;
+        const float value = std::max(static_cast<float>(w[x] + min_disparity) + offset, smallest);
+        out[x] = w[x] == Correlation::kNone ? 0.0f : value;
+      }
+    }
+  });
+  return disparity;
+}
+
+Segments find_segments(const cv::Mat1f& disparity, double tolerance) {
+  // Runs of connected pixels in each row are joined with those of the row above.
+  struct Run {
+    int begin, end;
+  };
+  const float step = static_cast<float>(tolerance);
+  std::vector<Run> runs;
+  std::vector<int> first_run(disparity.rows + 1);
+  runs.reserve(disparity.rows * 32);
+  for (int y = 0; y < disparity.rows; ++y) {
+    first_run[y] = static_cast<int>(runs.size());
+    const float* d = disparity[y];
+    for (int x = 0; x < disparity.cols;) {
+      if (d[x] <= 0) {
+        ++x;
+        continue;
+      }
+      const int begin = x++;
+      while (x < disparity.cols && d[x] > 0 && std::abs(d[x] - d[x - 1]) <= step) ++x;
+      runs.push_back({begin, x});
+    }
+  }
+  first_run[disparity.rows] = static_cast<int>(runs.size());
+
+  std::vector<int> parent(runs.size());  // the root of a set is its first run
+  std::iota(parent.begin(), parent.end(), 0);
+  const auto root = [&](int i) {
+    while (parent[i] != i) i = parent[i] = parent[parent[i]];
+    return i;
+  };
+  for (int y = 1; y < disparity.rows; ++y) {
+    const float* d = disparity[y];
+    const float* above = disparity[y - 1];
+    for (int i = first_run[y - 1], j = first_run[y]; i < first_run[y] && j < first_run[y + 1];) {
+      const int end = std::min(runs[i].end, runs[j].end);
+      for (int x = std::max(runs[i].begin, runs[j].begin); x < end; ++x) {
+        if (std::abs(d[x] - above[x]) > step) continue;
+        const int a = root(i), b = root(j);
+        parent[std::max(a, b)] = std::min(a, b);
+        break;
+      }
+      runs[i].end < runs[j].end ? ++i : ++j;
+    }
+  }
+
+  Segments segments;
+  segments.label.create(disparity.size());
+  std::vector<int> label(runs.size());
+  for (size_t i = 0; i < runs.size(); ++i) {
+    const int r = root(static_cast<int>(i));
+    if (r == static_cast<int>(i)) {
+      label[i] = static_cast<int>(segments.sizes.size());
+      segments.sizes.push_back(0);
+    } else {
+      label[i] = label[r];
+    }
+    segments.sizes[label[i]] += runs[i].end - runs[i].begin;
+  }
+  parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
+    for (int y = y0; y < y1; ++y) {
+      int* out = segments.label[y];
+      std::fill_n(out, disparity.cols, -1);
+      for (int i = first_run[y]; i < first_run[y + 1]; ++i) std::fill(out + runs[i].begin, out + runs[i].end, label[i]);
+    }
+  });
+  return segments;
+}
+
+void reject_small(int min_size, cv::Mat1f& disparity, Segments& segments) {
+  parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
+    for (int y = y0; y < y1; ++y) {
+      int* label = segments.label[y];
+      float* d = disparity[y];
+      for (int x = 0; x < disparity.cols; ++x) {
+        if (label[x] >= 0 && segments.sizes[label[x]] < min_size) {
+          label[x] = -1;
+          d[x] = 0;
+        }
+      }
+    }
+  });
+}
+
+}  // namespace iris::stereo

@@ -1,0 +1,34 @@
+// Filters that reject wrong matches, and the sub-pixel fit (thesis 3.4.1, 3.4.3).
+#pragma once
+
+#include <opencv2/core.hpp>
+
+#include "correlation.h"
+
+namespace iris::stereo {
+
+// Correlation function error filter (3.4): rejects a winner (sets it to Correlation::kNone) if the second minimum is
+// less than `min_margin` [cost units] above it. No second minimum counts as infinitely far above.
+void reject_ambiguous(const Correlation& correlation, int min_margin, cv::Mat1w& winner);
+
+// Left/right check: rejects a winner if the search from the right image, at the corresponding pixel, found a disparity
+// that differs by more than `tolerance` [px].
+void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double tolerance, cv::Mat1w& winner);
+
+// Disparities [px] of the remaining winners, 0 = none: refined by a V through the winner's cost and its neighbours,
+// with equal slopes on both sides (sums of absolute differences grow linearly around their minimum). At the ends of the
+// search range without refinement. Values below `smallest` are set to it.
+cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, float smallest);
+
+// Labels of 4-connected segments of valid disparities (> 0) whose neighbours differ by at most `tolerance` [px];
+// -1 = invalid. Labels count from 0 in the order of each segment's first pixel. `sizes` [px] per label.
+struct Segments {
+  cv::Mat1i label;
+  std::vector<int> sizes;
+};
+Segments find_segments(const cv::Mat1f& disparity, double tolerance);
+
+// Segment filter: disparities of segments smaller than `min_size` [px] become 0, their labels -1.
+void reject_small(int min_size, cv::Mat1f& disparity, Segments& segments);
+
+}  // namespace iris::stereo

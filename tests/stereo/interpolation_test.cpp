@@ -1,0 +1,147 @@
+#include "src/stereo/interpolation.h"
+
+#include <gmock/gmock.h>
+
+#include <algorithm>
+#include <optional>
+#include <vector>
+
+#include "iris/core/parallel.h"
+
+namespace iris::stereo {
+namespace {
+
+constexpr uchar kMeasured = 1, kWithin = 3, kBetween = 4;
+
+DisparityImage run(const cv::Mat1f& disparity, Interpolation mode) {
+  return interpolate(disparity, find_segments(disparity, 1.0), mode);
+}
+
+TEST(Interpolation, OffKeepsHoles) {
+  const cv::Mat1f d = (cv::Mat1f(1, 3) << 5, 0, 5);
+  const DisparityImage out = run(d, Interpolation::off);
+  EXPECT_EQ(cv::countNonZero(out.disparity != d), 0);
+  EXPECT_THAT(std::vector<int>(out.origin.begin(), out.origin.end()), ::testing::ElementsAre(1, 0, 1));
+}
+
+TEST(Interpolation, WithinASegmentTheMeanOfRowAndColumn) {
+  // A ring: left 4, right 6 (through 5), above 5, below 5.5.
+  const cv::Mat1f d = (cv::Mat1f(3, 3) << 4.5f, 5, 5.5f,  //
+                       4, 0, 6,                           //
+                       4.75f, 5.5f, 6);
+  for (const Interpolation mode : {Interpolation::within, Interpolation::everywhere}) {
+    const DisparityImage out = run(d, mode);
+    EXPECT_FLOAT_EQ(out.disparity(1, 1), (5.0f + 5.25f) / 2);
+    EXPECT_EQ(out.origin(1, 1), kWithin);
+    EXPECT_EQ(out.origin(0, 0), kMeasured);
+  }
+}
+
+TEST(Interpolation, BetweenSegmentsTheSecondSmallestNeighbour) {
+  const cv::Mat1f d = (cv::Mat1f(3, 3) << 0, 3, 0,  //
+                       9, 0, 20,                    //
+                       0, 5, 0);
+  EXPECT_EQ(run(d, Interpolation::within).disparity(1, 1), 0);
+  const DisparityImage out = run(d, Interpolation::everywhere);
+  EXPECT_FLOAT_EQ(out.disparity(1, 1), 5);
+  EXPECT_EQ(out.origin(1, 1), kBetween);
+}
+
+TEST(Interpolation, RowAndColumnThatLeadToOneSegmentAreAveraged) {
+  // Row: the background (2 … 3, lower right) against an object (20): background. Column: background above and below.
+  const cv::Mat1f d = (cv::Mat1f(3, 3) << 20, 2, 2,  //
+                       20, 0, 2.5f,                  //
+                       20, 3, 3);
+  const DisparityImage out = run(d, Interpolation::everywhere);
+  EXPECT_FLOAT_EQ(out.disparity(1, 1), (2.5f + 2.5f) / 2);
+  EXPECT_EQ(out.origin(1, 1), kBetween);
+}
+
+TEST(Interpolation, TheStripThatOnlyTheLeftCameraSeesContinuesItsRightNeighbour) {
+  const cv::Mat1f d = (cv::Mat1f(3, 4) << 2, 2, 2, 2,  //
+                       0, 0, 30, 30,                   //
+                       2, 2, 2, 2);
+  const DisparityImage out = run(d, Interpolation::everywhere);
+  EXPECT_FLOAT_EQ(out.disparity(1, 0), 30);
+  EXPECT_FLOAT_EQ(out.disparity(1, 1), 30);
+}
+
+TEST(Interpolation, AnEmptyImageStaysEmptyAndOnePixelFillsItsCross) {
+  cv::Mat1f d(5, 5, 0.0f);
+  EXPECT_EQ(cv::countNonZero(run(d, Interpolation::everywhere).disparity), 0);
+  d(2, 2) = 7;
+  const DisparityImage out = run(d, Interpolation::everywhere);
+  EXPECT_EQ(cv::countNonZero(out.disparity == 7), 9);
+  EXPECT_EQ(cv::countNonZero(out.origin == kBetween), 8);
+}
+
+// (3.5) - (3.7) with the changes that interpolation.h states, pixel by pixel.
+float reference(const cv::Mat1f& d, const cv::Mat1i& label, int y, int x, bool everywhere, uchar& origin) {
+  struct Hit {
+    float d;
+    int segment, distance;
+  };
+  const auto look = [&](int dy, int dx) -> std::optional<Hit> {
+    for (int k = 1;; ++k) {
+      const int v = y + k * dy, u = x + k * dx;
+      if (v < 0 || u < 0 || v >= d.rows || u >= d.cols) return std::nullopt;
+      if (label(v, u) >= 0) return Hit{d(v, u), label(v, u), k};
+    }
+  };
+  const std::optional<Hit> hits[4] = {look(0, -1), look(0, 1), look(-1, 0), look(1, 0)};
+  origin = 0;
+  const auto line = [](const std::optional<Hit>& a, const std::optional<Hit>& b) -> std::optional<Hit> {
+    if (!a || !b) return a ? a : b;
+    if (a->segment != b->segment) return a->d <= b->d ? a : b;
+    const double total = a->distance + b->distance;
+    return Hit{static_cast<float>((a->d * b->distance + b->d * a->distance) / total), a->segment, 0};
+  };
+  const auto row = line(hits[0], hits[1]), column = line(hits[2], hits[3]);
+  if (!row && !column) return 0;
+  bool within = true;
+  for (const auto& hit : hits) within &= hit && hits[0] && hit->segment == hits[0]->segment;
+  if (!within && !everywhere) return 0;
+  origin = within ? kWithin : kBetween;
+  if (!row) return column->d;
+  if (!column || !hits[0]) return row->d;
+  if (row->segment == column->segment) return (row->d + column->d) / 2;
+  std::vector<float> values;
+  for (const auto& hit : hits) {
+    if (hit) values.push_back(hit->d);
+  }
+  std::sort(values.begin(), values.end());
+  return values[std::min<size_t>(1, values.size() - 1)];
+}
+
+TEST(Interpolation, EqualsTheDefinitionOnRandomImagesWithAnyNumberOfThreads) {
+  cv::RNG random(2);
+  for (int round = 0; round < 40; ++round) {
+    cv::Mat1f d(random.uniform(1, 50), random.uniform(1, 150));
+    for (float& v : d) v = random.uniform(0, 3) == 0 ? random.uniform(1.0f, 6.0f) : 0.0f;
+    const Segments segments = find_segments(d, 2.0);
+    for (const bool everywhere : {false, true}) {
+      const Interpolation mode = everywhere ? Interpolation::everywhere : Interpolation::within;
+      DisparityImage out, many;
+      with_threads(1, [&] { out = interpolate(d, segments, mode); });
+      with_threads(4, [&] { many = interpolate(d, segments, mode); });
+      ASSERT_EQ(cv::countNonZero(out.disparity != many.disparity), 0);
+      ASSERT_EQ(cv::countNonZero(out.origin != many.origin), 0);
+      for (int y = 0; y < d.rows; ++y) {
+        for (int x = 0; x < d.cols; ++x) {
+          if (d(y, x) > 0) {
+            ASSERT_EQ(out.disparity(y, x), d(y, x));
+            ASSERT_EQ(out.origin(y, x), kMeasured);
+            continue;
+          }
+          uchar origin;
+          const float expected = reference(d, segments.label, y, x, everywhere, origin);
+          ASSERT_NEAR(out.disparity(y, x), expected, 1e-4) << y << " " << x;
+          ASSERT_EQ(out.origin(y, x), origin) << y << " " << x;
+        }
+      }
+    }
+  }
+}
+
+}  // namespace
+}  // namespace iris::stereo

@@ -8,7 +8,7 @@
 namespace iris::stereo {
 
 // Correlation function error filter (3.4): rejects a winner (sets it to Correlation::kNone) if the second minimum is
-// less than `min_margin` [cost units] above it. No second minimum counts as infinitely far above.
+// less than `min_margin` [cost units] above it, or if there is none to compare with (at the very edge of the image).
 void reject_ambiguous(const Correlation& correlation, int min_margin, cv::Mat1w& winner);
 
 // Left/right check: rejects a winner if the search from the right image, at the corresponding pixel, found a disparity

@@ -15,10 +15,10 @@ constexpr uint16_t kNone = Correlation::kNone;
 TEST(ErrorFilter, RejectsSmallMarginsOnly) {
   Correlation c;
   c.cost = (cv::Mat1w(1, 5) << 100, 100, 100, 100, 100);
-  c.second = (cv::Mat1w(1, 5) << 100, 114, 115, 300, kNone);  // without a rival nothing is ambiguous
+  c.second = (cv::Mat1w(1, 5) << 100, 114, 115, 300, kNone);  // without a rival nothing is sure
   cv::Mat1w winner = (cv::Mat1w(1, 5) << 1, 2, 3, 4, 5);
   reject_ambiguous(c, 15, winner);
-  EXPECT_THAT(std::vector<int>(winner.begin(), winner.end()), ::testing::ElementsAre(kNone, kNone, 3, 4, 5));
+  EXPECT_THAT(std::vector<int>(winner.begin(), winner.end()), ::testing::ElementsAre(kNone, kNone, 3, 4, kNone));
 }
 
 TEST(LeftRightCheck, ComparesWithTheCorrespondingPixel) {

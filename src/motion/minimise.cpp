@@ -98,14 +98,14 @@ MinimisedMotion minimise_motion(const RectifiedCamera& camera, const std::vector
   MinimisedMotion result{.converged = false, .prev_from_cur = guess};
   MotionCost cost = motion_cost(camera, pairs, model, pixel_error, huber, guess);
   double damping = 1e-6;
-  for (; result.iterations < 50 && !result.converged && std::isfinite(cost.value); ++result.iterations) {
+  for (; result.iterations < 100 && !result.converged && std::isfinite(cost.value); ++result.iterations) {
     Matrix6d damped = cost.hessian;
     damped.diagonal() *= 1 + damping;
     const Eigen::LLT<Matrix6d> solver(damped);
     if (solver.info() != Eigen::Success) return result;
     const Vector6d step = solver.solve(-cost.gradient);
     // The squared step in standard deviations of the estimate: far below one it changes nothing.
-    const bool tiny = step.dot(cost.hessian * step) < 1e-10;
+    const bool tiny = step.dot(cost.hessian * step) < 1e-6;
     const Pose next = perturbed(result.prev_from_cur, step);
     const MotionCost next_cost = motion_cost(camera, pairs, model, pixel_error, huber, next);
     if (next_cost.value <= cost.value) {
@@ -123,9 +123,9 @@ MinimisedMotion minimise_motion(const RectifiedCamera& camera, const std::vector
     result.converged = false;
     return result;
   }
-  constexpr double kPriorFreedom = 12;  // the assumed pixel_error counts like this many residuals
-  const double freedom = std::max(0.0, 3.0 * static_cast<double>(pairs.size()) - 6);
-  const double factor = (kPriorFreedom + cost.squares) / (kPriorFreedom + freedom);
+  // Few residuals may be small by chance: never more certain than pixel_error promises.
+  const double freedom = 3.0 * static_cast<double>(pairs.size()) - 6;
+  const double factor = freedom > 0 ? std::max(1.0, cost.squares / freedom) : 1.0;
   result.covariance = factor * solver.solve(Matrix6d::Identity());
   return result;
 }

@@ -37,9 +37,9 @@ struct MinimisedMotion {
   int iterations = 0;
 };
 
-// Levenberg-Marquardt from a first guess. The covariance is the inverse of the Hessian, scaled by the variance factor
-// that the residuals show (drawn towards 1 where there are few of them). Not converged: the Hessian is singular, or the
-// step does not vanish within 50 iterations.
+// Levenberg-Marquardt from a first guess. The covariance is the inverse of the Hessian, times the variance factor that
+// the residuals show if that is above 1. Not converged: the Hessian is singular, or the step does not vanish within 100
+// iterations.
 MinimisedMotion minimise_motion(const RectifiedCamera& camera, const std::vector<PointPair>& pairs, ErrorModel model,
                                 double pixel_error, double huber, const Pose& guess);
 

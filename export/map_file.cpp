@@ -61,7 +61,7 @@ cv::Mat3b grey_picture(const MapRaster& raster) {
   for (int y = 0; y < raster.height; ++y) {
     for (int x = 0; x < raster.width; ++x) {
       if (is(raster, y, x, MapState::unknown)) continue;
-      picture(y, x) = cv::Vec3b::all(cv::saturate_cast<uint8_t>(255 * (1 - raster.M(y, x))));
+      picture(y, x) = cv::Vec3b::all(cv::saturate_cast<uint8_t>(255 * (1 - raster.U(y, x))));
     }
   }
   return picture;
@@ -77,16 +77,16 @@ cv::Vec3b layer_colour(int layer, int layers) {
 }
 
 cv::Mat3b layer_picture(const MapRaster& raster) {
-  const int layers = static_cast<int>(raster.layer_M.size());
+  const int layers = static_cast<int>(raster.layer_U.size());
   cv::Mat3b picture(raster.height, raster.width, kUnknown);
   for (int y = 0; y < raster.height; ++y) {
     for (int x = 0; x < raster.width; ++x) {
       if (is(raster, y, x, MapState::unknown)) continue;
       int best = 0;
       for (int k = 1; k < layers; ++k) {
-        if (raster.layer_M[static_cast<size_t>(k)](y, x) > raster.layer_M[static_cast<size_t>(best)](y, x)) best = k;
+        if (raster.layer_U[static_cast<size_t>(k)](y, x) > raster.layer_U[static_cast<size_t>(best)](y, x)) best = k;
       }
-      const double strength = raster.layer_M[static_cast<size_t>(best)](y, x);
+      const double strength = raster.layer_U[static_cast<size_t>(best)](y, x);
       const cv::Vec3d colour = layer_colour(best, layers);
       picture(y, x) = cv::Vec3b(cv::Vec3d::all(255) * (1 - strength) + colour * strength);
     }
@@ -200,7 +200,7 @@ void write_map(const std::filesystem::path& folder, const MapRaster& raster, con
                                                   {cv::Scalar::all(0), "occupied"},
                                                   {unknown, "unknown"}}));
   std::vector<LegendEntry> legend;
-  const int layers = static_cast<int>(raster.layer_M.size());
+  const int layers = static_cast<int>(raster.layer_U.size());
   for (int k = layers - 1; k >= 0; --k) {
     const auto i = static_cast<size_t>(k);
     legend.push_back({cv::Scalar(layer_colour(k, layers)),

@@ -141,7 +141,11 @@ MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
   raster.origin_x = x0 * map.cell_size, raster.origin_y = y0 * map.cell_size;
   raster.M = cv::Mat1f::zeros(raster.height, raster.width);
   raster.state = cv::Mat1b::zeros(raster.height, raster.width);
-  for (int k = 0; k < map.layers(); ++k) raster.layer_M.push_back(cv::Mat1f::zeros(raster.height, raster.width));
+  raster.U = cv::Mat1f::zeros(raster.height, raster.width);
+  for (int k = 0; k < map.layers(); ++k) {
+    raster.layer_M.push_back(cv::Mat1f::zeros(raster.height, raster.width));
+    raster.layer_U.push_back(cv::Mat1f::zeros(raster.height, raster.width));
+  }
   for_each_tile([&](const FlogMap::Tile& tile, int tile_x, int tile_y) {
     for (size_t i = 0; i < tile.cells.size(); ++i) {
       const FlogCell& cell = tile.cells[i];
@@ -151,13 +155,17 @@ MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
       const float E = cell.empty, O = cell.occupied;
       const float K = std::min(1.0f, static_cast<float>(cell.rays) / static_cast<float>(map.full_rays));  // (6.3)
       const float I = std::min(1 - E, 1 - O);
-      const float Mk = std::min(1 - std::max(std::min(E, 1 - O), I), K);  // (6.4)
+      const float unsafe = 1 - std::max(std::min(E, 1 - O), I);
+      const float Mk = std::min(unsafe, K);  // (6.4)
       raster.layer_M[i / (kSide * kSide)](row, column) = Mk;
       raster.M(row, column) = std::max(raster.M(row, column), Mk);  // (6.5)
       if (static_cast<double>(K) < options.min_confidence) continue;
       const MapState state = static_cast<double>(O) >= options.occupied_level ? MapState::occupied
                              : E > 0.5f                                       ? MapState::free
                                                                               : MapState::unknown;
+      if (state == MapState::unknown) continue;
+      raster.layer_U[i / (kSide * kSide)](row, column) = unsafe;
+      raster.U(row, column) = std::max(raster.U(row, column), unsafe);
       raster.state(row, column) = std::max(raster.state(row, column), static_cast<uint8_t>(state));
     }
   });

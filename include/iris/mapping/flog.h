@@ -27,7 +27,7 @@ struct FlogOptions {
   double min_move = 4;       // [cells] a view that moved less since the last added one …
   double min_turn = 0.5;     // [fields of view] … and did not turn by more is not added (6.3.3)
   double min_confidence = 0.01;  // K of (6.3) below which a cell is unknown in the trinary map
-  double occupied_level = 0.5;   // memberships of occupancy from here on make an obstacle in the trinary map
+  double occupied_level = 0.35;  // memberships of occupancy from here on make an obstacle in the trinary map
 
   void declare(OptionSet& set);
 };
@@ -65,7 +65,9 @@ struct MapRaster {
   int width = 0, height = 0;          // [cells]
   std::vector<double> layer_bounds;   // [m] layers + 1
   std::vector<cv::Mat1f> layer_M;     // Mk of (6.4), 0 = free or unknown, 1 = occupied
+  std::vector<cv::Mat1f> layer_U;     // Mk without K: how unsafe a known cell is; 0 where the layer is unknown
   cv::Mat1f M;                        // (6.5)
+  cv::Mat1f U;                        // max over the layers
   cv::Mat1b known;                    // 0 = unknown, 1 = enough evidence: state is not unknown
   cv::Mat1b state;                    // MapState
   // Centre of a cell, row counted from the top.

@@ -2,9 +2,10 @@
 // Serves viewer.html, three.js and the scene on a free port of localhost. Prints the port, then what the viewer reports.
 import { createServer } from "node:http";
 import { readFileSync } from "node:fs";
-import { extname, join, normalize } from "node:path";
+import { dirname, extname, join, normalize } from "node:path";
+import { fileURLToPath } from "node:url";
 
-const here = import.meta.dirname;
+const here = dirname(fileURLToPath(import.meta.url));
 const types = { ".html": "text/html", ".js": "text/javascript", ".glb": "model/gltf-binary" };
 const server = createServer((request, response) => {
   const url = new URL(request.url, "http://localhost");

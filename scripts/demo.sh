@@ -1,0 +1,51 @@
+#!/usr/bin/env bash
+# usage: scripts/demo.sh [SESSION]
+# Installs what is missing, builds IRIS, reconstructs the recording SESSION (a folder in a layout that `iris info SESSION`
+# knows: EuRoC, KITTI, pairs of images, …) into out/<name of SESSION> and says what to look at. Without SESSION: the
+# recording euroc_mh01 of the test data, if there is any (CMake's IRIS_TEST_DATA).
+set -euo pipefail
+from=$PWD
+cd "$(dirname "$0")/.."
+
+if [[ ${1-} == -* || $# -gt 1 ]]; then
+  sed -n 2,5p "$0"
+  exit 2
+fi
+session=
+if [ $# -eq 1 ]; then
+  session=$(cd "$from" && realpath -m "$1")
+  [ -e "$session" ] || { echo "demo: there is no $session" >&2; exit 3; }
+fi
+
+scripts/install-deps.sh
+cmake --preset release -DIRIS_BUILD_TESTS=OFF -DIRIS_BUILD_EXAMPLES=OFF
+if [ -z "$session" ]; then
+  session=$(sed -n 's/^IRIS_TEST_DATA:PATH=//p' build/release/CMakeCache.txt)/euroc_mh01
+  if [ ! -d "$session" ]; then
+    sed -n 2,5p "$0"
+    echo "demo: no SESSION given, and there is no $session" >&2
+    exit 2
+  fi
+  session=$(realpath "$session")
+fi
+cmake --build --preset release --target iris_app
+
+out=out/$(basename "$session")
+status=0
+build/release/iris run "$session" -o "$out" || status=$?
+# 4: finished, but the recording broke into pieces; everything that was reconstructed is there.
+[ $status -eq 0 ] || [ $status -eq 4 ] || exit $status
+
+echo
+echo "Look at:"
+look() {
+  [ ! -e "$out/$1" ] || printf '  %-32s %s\n' "$out/$1" "$2"
+}
+look report/index.html "what was done and how well it went, in a browser"
+look map/sheet.pdf "the map with scale and path, to print"
+look map/map.png "the map alone; map.yaml loads it into ROS"
+look model/scene.glb "the 3-D scene, in any glTF viewer"
+look octree/map.bt "the octree, in octovis"
+look tour/tour.mp4 "the virtual tour"
+look trajectory/tum.txt "the path of the camera"
+exit $status

@@ -85,6 +85,7 @@ std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>
   const cv::Size size = cur.image.size();
   cv::Mat prev_image = prev.image, cur_image = cur.image;
   if (turns > 0) {
+    cur_image = cv::Mat();                        // its own memory: `cur` stays as it is
     cv::rotate(cur.image, cur_image, turns - 1);  // ROTATE_90_CLOCKWISE, 180, 90_COUNTERCLOCKWISE
     // Lucas-Kanade wants images of one size; what is added lies to the right and below.
     const int side = std::max({prev_image.cols, prev_image.rows, size.width, size.height});

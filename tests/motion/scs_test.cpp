@@ -99,8 +99,11 @@ TEST(EstimateMotionFails, WithTooFewCornersOnAnEmptyWall) {
 TEST(EstimateMotionFails, WithTooFewConsistentBetweenDifferentWalls) {
   const ViewFeatures front = features_at(pose({0, 0, -1.5}, 0, 0, 0), {});
   const ViewFeatures back = features_at(pose({0, 0, 1.0}, 180, 0, 0), {});
+  const cv::Mat1b front_image = front.image.clone(), back_image = back.image.clone();
   const MotionEstimate estimate = estimate_motion(front, back, kCamera, {});
   EXPECT_EQ(estimate.status, MotionStatus::too_few_consistent);
+  EXPECT_EQ(cv::norm(front.image, front_image, cv::NORM_INF), 0);  // the attempts with turned images left them alone
+  EXPECT_EQ(cv::norm(back.image, back_image, cv::NORM_INF), 0);
   EXPECT_GT(estimate.corners, 100);
   EXPECT_EQ(estimate.prev_from_cur.matrix(), Pose::Identity().matrix());
 }

@@ -174,7 +174,7 @@ OctreeSummary write_octree(const std::filesystem::path& folder, const views::Vie
       return true;
     });
   }
-  tree.updateInnerOccupancy();
+  if (tree.size() > 0) tree.updateInnerOccupancy();  // ColorOcTree follows its root unchecked
   tree.prune();
   write_file(folder / "map.ot", bytes_of(tree));
 

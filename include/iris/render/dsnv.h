@@ -1,0 +1,75 @@
+// DSNV: novel views straight from disparity images (thesis ch. 7). No mesh is built: the ray of each pixel of the novel
+// camera is a straight line in the disparity space of a source view, and is walked pixel by pixel until it meets the
+// disparity surface.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "iris/core/options.h"
+#include "iris/types/novel_view.h"
+#include "iris/types/stereo_view.h"
+
+namespace iris::render {
+
+struct DsnvOptions {
+  int max_sources = 4;               // source views a picture is made from; >= 1
+  double max_disparity_step = 2;     // [px] neighbours in the disparity image that differ by more are different objects
+                                     // (thesis 7.9); > 0
+  int step = 1;                      // [px] trace every n-th pixel of the novel view, interpolate the rest; 1, 2 or 4
+  std::string fusion = "agreement";  // "agreement": the surface that most sources support, blended; "nearest": the
+                                     // smallest pseudo distance (7.10)
+  std::string use_origin = "everywhere";  // disparities used: "measured", "within" segments, "everywhere"
+  int fill_holes =
+      6;  // [px] widest hole of the picture that is filled from its rim; depth and source stay "hole"; >= 0
+  void declare(OptionSet& set);
+};
+
+// A source view made ready: the accepted disparities and the bounds by which free space is skipped. Worth keeping while
+// several novel views use it.
+class PreparedSource {
+ public:
+  PreparedSource(std::shared_ptr<const StereoView> view, const DsnvOptions& options);
+
+  const StereoView& view() const { return *view_; }
+  const cv::Mat1f& disparity() const { return disparity_; }  // [px] 0 = none
+  float min_disparity() const { return min_disparity_; }     // [px] of the valid ones; 0 if there is none
+  float max_disparity() const { return max_disparity_; }
+  // Largest disparity in a rectangle of pixels (all bounds included, inside the image), or a little more than that.
+  float max_in(int x0, int y0, int x1, int y1) const;
+
+ private:
+  static constexpr int kFirstBits = 2;  // the finest level has blocks of 4x4 pixels
+  std::shared_ptr<const StereoView> view_;
+  cv::Mat1f disparity_;
+  float min_disparity_ = 0, max_disparity_ = 0;
+  std::vector<cv::Mat1f> max_levels_;  // level k: largest disparity of each block of 2^(k+2) pixels
+};
+
+// The picture of the novel camera. `source` of the result holds indices into `sources`. All views must be in one
+// sub-map. Bit-identical for any number of threads.
+NovelView render_novel_view(const NovelCamera& camera, const std::vector<std::shared_ptr<const StereoView>>& sources,
+                            const DsnvOptions& options);
+NovelView render_novel_view(const NovelCamera& camera,
+                            const std::vector<std::shared_ptr<const PreparedSource>>& sources,
+                            const DsnvOptions& options);
+
+// Where one ray meets the surface of one source view.
+enum class Meeting { nothing, surface, back_side };
+struct RayHit {
+  Meeting meeting = Meeting::nothing;
+  float x = 0, y = 0;   // [px] in the source image
+  float disparity = 0;  // [px] as the disparity image holds it (without the camera's offset)
+  float along = 0;      // s of P(s) = s Q + T (7.2)
+};
+
+// Walks the ray P(s) = s * direction + origin, s >= from, given in the camera frame of the source.
+RayHit walk_ray(const PreparedSource& source, const Eigen::Vector3d& direction, const Eigen::Vector3d& origin,
+                double from, double max_disparity_step);
+
+// Direction of a pixel's ray in the novel camera frame. pinhole: z = 1, so that s is the depth V_nz; equirectangular: a
+// unit vector, so that s is the range.
+Eigen::Vector3d pixel_ray(const NovelCamera& camera, double x, double y);
+
+}  // namespace iris::render

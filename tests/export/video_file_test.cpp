@@ -1,0 +1,101 @@
+#include "export/video_file.h"
+
+#include <gtest/gtest.h>
+
+#include <fstream>
+#include <opencv2/imgproc.hpp>
+#include <opencv2/videoio.hpp>
+
+#include "iris/core/error.h"
+
+namespace iris::exporters {
+namespace {
+namespace fs = std::filesystem;
+
+class VideoFile : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = fs::temp_directory_path() / ("iris_video_" + std::to_string(getpid()));
+    fs::remove_all(folder_);
+    fs::create_directories(folder_);
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+  size_t files() const { return static_cast<size_t>(std::distance(fs::directory_iterator(folder_), {})); }
+
+  fs::path folder_;
+};
+
+cv::Mat3b frame(int i) { return cv::Mat3b(96, 160, cv::Vec3b(static_cast<uint8_t>(20 + 8 * i), 100, 180)); }
+
+TEST_F(VideoFile, ComesBackFrameByFrame) {
+  const fs::path path = folder_ / "new" / "tour.mp4";
+  VideoWriter writer(path, 160, 96, 10);
+  constexpr int kFrames = 23;
+  for (int i = 0; i < kFrames; ++i) writer.add(frame(i));
+  EXPECT_FALSE(fs::exists(path));
+  writer.close();
+  cv::VideoCapture video(path.string(), cv::CAP_FFMPEG);
+  ASSERT_TRUE(video.isOpened());
+  EXPECT_EQ(static_cast<int>(video.get(cv::CAP_PROP_FRAME_WIDTH)), 160);
+  EXPECT_EQ(static_cast<int>(video.get(cv::CAP_PROP_FRAME_HEIGHT)), 96);
+  EXPECT_NEAR(video.get(cv::CAP_PROP_FPS), 10, 1e-6);
+  int frames = 0;
+  for (cv::Mat image; video.read(image); ++frames) {
+    const cv::Scalar mean = cv::mean(image);
+    // 8-bit YCbCr with limited range and half the colour resolution: a few grey levels.
+    EXPECT_NEAR(mean[0], 20 + 8 * frames, 6);
+    EXPECT_NEAR(mean[1], 100, 4);
+    EXPECT_NEAR(mean[2], 180, 6);
+  }
+  EXPECT_EQ(frames, kFrames);
+  EXPECT_EQ(std::distance(fs::directory_iterator(path.parent_path()), {}), 1);
+}
+
+TEST_F(VideoFile, IsH264InYuv420) {
+  const fs::path path = folder_ / "tour.mp4";
+  VideoWriter writer(path, 160, 96, 10);
+  for (int i = 0; i < 5; ++i) writer.add(frame(i));
+  writer.close();
+  cv::VideoCapture video(path.string(), cv::CAP_FFMPEG);
+  const int code = static_cast<int>(video.get(cv::CAP_PROP_FOURCC));
+  EXPECT_TRUE(code == cv::VideoWriter::fourcc('h', '2', '6', '4') ||
+              code == cv::VideoWriter::fourcc('a', 'v', 'c', '1'));
+  const int format = static_cast<int>(video.get(cv::CAP_PROP_CODEC_PIXEL_FORMAT));
+  EXPECT_EQ(format, cv::VideoWriter::fourcc('I', '4', '2', '0'));
+}
+
+TEST_F(VideoFile, TheSameFramesGiveTheSameFile) {
+  std::string bytes[2];
+  for (std::string& content : bytes) {
+    const fs::path path = folder_ / "tour.mp4";
+    VideoWriter writer(path, 160, 96, 10);
+    for (int i = 0; i < 12; ++i) writer.add(frame(i));
+    writer.close();
+    std::ifstream file(path, std::ios::binary);
+    content.assign(std::istreambuf_iterator<char>(file), {});
+  }
+  EXPECT_FALSE(bytes[0].empty());
+  EXPECT_EQ(bytes[0], bytes[1]);
+}
+
+TEST_F(VideoFile, WithoutCloseNothingIsLeft) {
+  {
+    VideoWriter writer(folder_ / "tour.mp4", 160, 96, 10);
+    writer.add(frame(0));
+  }
+  EXPECT_EQ(files(), 0u);
+}
+
+TEST_F(VideoFile, BadTargetsAreNamed) {
+  EXPECT_THROW(VideoWriter(folder_ / "tour.mp4", 161, 96, 10), UsageError);
+  std::ofstream(folder_ / "file") << "x";
+  try {
+    VideoWriter writer(folder_ / "file" / "tour.mp4", 160, 96, 10);
+    FAIL();
+  } catch (const InputError& error) {
+    EXPECT_NE(std::string(error.what()).find("file"), std::string::npos);
+  }
+}
+
+}  // namespace
+}  // namespace iris::exporters

@@ -31,8 +31,11 @@ size_t edit_distance(std::string_view a, std::string_view b) {
 
 template <class Number>
 bool parse_number(std::string_view text, Number& value) {
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  return error == std::errc() && end == text.data() + text.size();
+  Number parsed;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), parsed);
+  if (error != std::errc() || end != text.data() + text.size()) return false;
+  value = parsed;
+  return true;
 }
 
 std::string bound_text(double bound) {
@@ -200,6 +203,10 @@ std::string OptionSet::to_toml() const {
     if (quoted) {
       std::string escaped;
       for (const char c : value) {
+        if (static_cast<unsigned char>(c) < 0x20) {
+          escaped += fmt::format("\\u{:04X}", static_cast<int>(c));
+          continue;
+        }
         if (c == '"' || c == '\\') escaped += '\\';
         escaped += c;
       }

@@ -1,6 +1,7 @@
 #include "iris/core/parallel.h"
 
 #include <tbb/blocked_range.h>
+#include <tbb/global_control.h>
 #include <tbb/info.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
@@ -28,6 +29,9 @@ void parallel_chunks(int begin, int end, int grain, const std::function<void(int
 
 void with_threads(int threads, const std::function<void()>& work) {
   IRIS_CHECK(threads >= 1);
+  // Without it the library refuses more threads than processors, and says so on the terminal.
+  const tbb::global_control at_most(tbb::global_control::max_allowed_parallelism,
+                                    static_cast<size_t>(std::max(threads, available_threads())));
   tbb::task_arena arena(threads);
   arena.execute(work);
 }

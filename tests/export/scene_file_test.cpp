@@ -14,6 +14,8 @@
 #include "iris/core/error.h"
 #include "iris/core/options.h"
 #include "iris/core/parallel.h"
+#include "support/full_disk.h"
+#include "support/temporary_folder.h"
 
 namespace iris::exporters {
 namespace {
@@ -131,16 +133,13 @@ std::vector<ColouredPoint> points_of(const tinygltf::Model& model, int submap) {
 
 class SceneFile : public ::testing::Test {
  protected:
-  void SetUp() override { fs::create_directories(folder_); }
-  void TearDown() override { fs::remove_all(folder_); }
-
   tinygltf::Model write(const std::vector<StereoView>& views, const SceneOptions& options = {}) {
     write_scene(glb_, graph_of(views), views::MemoryViewStore(views), options, "rover");
     return read_glb(glb_);
   }
 
-  const fs::path folder_ = fs::path(::testing::TempDir()) /
-                           ("scene_" + std::string(::testing::UnitTest::GetInstance()->current_test_info()->name()));
+  const testing::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path();
   const fs::path glb_ = folder_ / "scene.glb";
 };
 
@@ -321,6 +320,24 @@ TEST_F(SceneFile, AnEmptySceneIsAValidFileAndAnUnwritablePlaceAnError) {
   EXPECT_EQ(model.nodes.size(), 1u);
   EXPECT_TRUE(model.meshes.empty());
   EXPECT_THROW(write_scene(glb_ / "below_a_file.glb", {}, views::MemoryViewStore({}), {}, ""), InputError);
+}
+
+TEST_F(SceneFile, AFullDiskIsAnErrorAndLeavesWhatWasThere) {
+  const std::vector<StereoView> views = three_views();
+  write({});
+  const std::string before = read_file(glb_);
+  bool refused = false;
+  {
+    const testing::FullDisk full(16 * 1024);
+    try {
+      write_scene(glb_, graph_of(views), views::MemoryViewStore(views), {.voxel = 0.001}, "rover");
+    } catch (const InputError&) {
+      refused = true;
+    }
+  }
+  EXPECT_TRUE(refused);
+  EXPECT_EQ(read_file(glb_), before);
+  EXPECT_EQ(std::distance(fs::directory_iterator(folder_), {}), 1);
 }
 
 TEST_F(SceneFile, OptionsAreDeclared) {

@@ -12,6 +12,7 @@
 
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
+#include "support/temporary_folder.h"
 
 namespace iris::exporters {
 namespace {
@@ -22,11 +23,8 @@ using ::testing::StartsWith;
 
 class TrajectoryFile : public ::testing::Test {
  protected:
-  void SetUp() override { fs::create_directories(folder_); }
-  void TearDown() override { fs::remove_all(folder_); }
-  const fs::path folder_ =
-      fs::path(::testing::TempDir()) /
-      ("trajectory_" + std::string(::testing::UnitTest::GetInstance()->current_test_info()->name()));
+  const testing::TemporaryFolder temporary_;
+  const fs::path folder_ = temporary_.path();
 };
 
 Eigen::Vector3d random_vector(std::mt19937& random, double scale) {

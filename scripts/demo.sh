@@ -41,9 +41,7 @@ echo "Look at:"
 look() {
   [ ! -e "$out/$1" ] || printf '  %-32s %s\n' "$out/$1" "$2"
 }
-look report/index.html "what was done and how well it went, in a browser"
-look map/sheet.pdf "the map with scale and path, to print"
-look map/map.png "the map alone; map.yaml loads it into ROS"
+look map/map.png "the map; map_picture.png with scale and path, map.yaml for ROS"
 look model/scene.glb "the 3-D scene, in any glTF viewer"
 look octree/map.bt "the octree, in octovis"
 look tour/tour.mp4 "the virtual tour"

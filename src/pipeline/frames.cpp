@@ -99,8 +99,8 @@ int find_disparities(const session::Session& session, const Options& options) {
   }
   if (options.stereo.disparities > 0) return options.stereo.disparities;
   const stereo::SearchRange range = stereo::estimate_search_range(readable, options.stereo);
-  spdlog::info("search range: {} disparities (largest of {} sparse matches in {} frames: {:.1f} px)", range.disparities,
-               range.matches, readable.size(), range.largest);
+  spdlog::info("search range: {} disparities, found from {} frames; {:.1f} % of their matches are nearer than that",
+               range.disparities, readable.size(), 100 * range.beyond);
   return range.disparities;
 }
 

@@ -12,11 +12,15 @@ namespace {
 constexpr int kLargestRange = 512;   // [px]
 constexpr double kSurface = 0.001;   // smallest surface that counts, as a fraction of a frame
 constexpr double kMarginFactor = 2;  // the search is wide, so that wrong matches are more likely than in mwmf itself
+// Part of the measured pixels that the range covers. The rest is what comes extremely near for a moment, and wrong
+// matches, which spread over the whole search; both would double the work for every frame.
+constexpr double kCovered = 0.997;
 
 }  // namespace
 
 SearchRange estimate_search_range(const std::vector<StereoPair>& sample_pairs, const MwmfOptions& options) {
   SearchRange range;
+  std::vector<int> histogram(2 * kLargestRange, 0);  // of disparities [px] above min_disparity
   for (const StereoPair& pair : sample_pairs) {
     cv::Mat1b left, right;
     cv::resize(pair.left, left, cv::Size(), 0.5, 0.5, cv::INTER_AREA);
@@ -28,14 +32,26 @@ SearchRange estimate_search_range(const std::vector<StereoPair>& sample_pairs, c
     wide.min_margin = kMarginFactor * options.min_margin;
     wide.min_segment = std::max(1, static_cast<int>(std::lround(kSurface * left.total())));
     const DisparityImage measured = mwmf(left, right, wide);
-    range.matches += cv::countNonZero(measured.origin);
-    double largest = 0;
-    cv::minMaxLoc(measured.disparity, nullptr, &largest);
-    range.largest = std::max(range.largest, static_cast<float>(2 * largest));
+    for (int y = 0; y < left.rows; ++y) {
+      for (int x = 0; x < left.cols; ++x) {
+        if (measured.origin(y, x) == static_cast<uint8_t>(DisparityOrigin::none)) continue;
+        const int above = static_cast<int>(std::ceil(2 * measured.disparity(y, x))) - options.min_disparity;
+        ++histogram[static_cast<size_t>(std::clamp(above, 0, 2 * kLargestRange - 1))];
+        ++range.matches;
+      }
+    }
   }
   if (range.matches > 0) {
-    const double needed = (range.largest - options.min_disparity) * 1.1 + 4;
-    range.disparities = std::clamp(16 * static_cast<int>(std::ceil(needed / 16)), 16, kLargestRange);
+    const auto beyond_allowed = static_cast<int64_t>((1 - kCovered) * range.matches);
+    int needed = 2 * kLargestRange - 1;
+    for (int64_t beyond = histogram[static_cast<size_t>(needed)]; needed > 0 && beyond <= beyond_allowed;) {
+      beyond += histogram[static_cast<size_t>(--needed)];
+    }
+    range.largest = static_cast<float>(options.min_disparity + needed);
+    range.disparities = std::clamp(16 * ((needed + 2 + 15) / 16), 16, kLargestRange);
+    int64_t beyond = 0;
+    for (int d = range.disparities; d < 2 * kLargestRange; ++d) beyond += histogram[static_cast<size_t>(d)];
+    range.beyond = static_cast<double>(beyond) / range.matches;
   }
   return range;
 }

@@ -237,7 +237,7 @@ TEST_F(Cli, BadInputIsExitCode3AndNamesFileProblemAndRemedy) {
     std::snprintf(name, sizeof name, "%06d.png", i);
     cv::imwrite((sizes / "right" / name).string(), cv::Mat1b(60, 80, uint8_t(7)));
   }
-  expect(sizes, fresh("o"), {"80 x 60"});
+  expect(sizes, fresh("o"), {"80x60"});
 
   const std::string calibration = read_file(session() / "calibration.yaml");
   const auto with_calibration = [&](const std::string& from, const std::string& to,

@@ -164,6 +164,17 @@ TEST_F(Chain, ChainsPosesAndStartsASubMapWhereNoMotionIsFound) {
   EXPECT_EQ(steps[3].submap, 1);
   EXPECT_EQ(steps[3].estimate.status, MotionStatus::too_few_corners);
   EXPECT_TRUE(equal_bits(steps[3].world_from_cam, Pose::Identity()));
+  // The path goes on behind the spoilt view, in the sub-map before it.
+  EXPECT_EQ(steps[4].reference_frame, 2);
+  EXPECT_EQ(steps[4].submap, 0);
+  EXPECT_LT(((world(0).inverse() * world(7)).inverse() * steps[7].world_from_cam).translation().norm(), 0.04);
+}
+
+TEST_F(Chain, NumbersOfSubMapsAreNeverUsedTwice) {
+  MotionChain chain(kCamera, {});
+  chain.restore({{10, views()[0], Pose::Identity(), 0}}, 3);
+  EXPECT_EQ(chain.push(views()[3], 11).submap, 3);
+  EXPECT_EQ(chain.push(views()[1], 12).submap, 0);
 }
 
 TEST_F(Chain, RetriesEarlierViews) {
@@ -171,17 +182,16 @@ TEST_F(Chain, RetriesEarlierViews) {
   MotionChain chain(kCamera, options);
   chain.push(views()[0], 10);
   chain.push(views()[1], 11);
-  // A view that only the one before the previous one overlaps: the previous one is replaced by an empty wall that
-  // belongs to the same sub-map.
+  // A view that only the one before the previous one overlaps: the previous one is an empty wall.
   MotionChain restored(kCamera, options);
-  restored.restore({{10, views()[0], Pose::Identity(), 4}, {11, views()[3], Pose::Identity(), 4}});
+  restored.restore({{10, views()[0], Pose::Identity(), 4}, {11, views()[3], Pose::Identity(), 4}}, 5);
   const ChainStep step = restored.push(views()[1], 12);
   EXPECT_EQ(step.reference_frame, 10);
   EXPECT_EQ(step.submap, 4);
   EXPECT_FALSE(step.new_submap);
   options.retry_views = 0;
   MotionChain impatient(kCamera, options);
-  impatient.restore({{10, views()[0], Pose::Identity(), 4}, {11, views()[3], Pose::Identity(), 4}});
+  impatient.restore({{10, views()[0], Pose::Identity(), 4}, {11, views()[3], Pose::Identity(), 4}}, 5);
   EXPECT_TRUE(impatient.push(views()[1], 12).new_submap);
 }
 
@@ -197,7 +207,9 @@ TEST_F(Chain, GoesOnBitByBitAfterARestart) {
     for (int i = std::max(0, cut - 3); i < cut; ++i) {
       last.push_back({i, views()[i], steps[i].world_from_cam, steps[i].submap});
     }
-    chain.restore(last);
+    int submaps = 0;
+    for (int i = 0; i < cut; ++i) submaps += steps[i].new_submap;
+    chain.restore(last, submaps);
     for (int i = cut; i < 8; ++i) {
       const ChainStep step = chain.push(views()[i], i);
       EXPECT_TRUE(equal_bits(step.world_from_cam, steps[i].world_from_cam)) << cut << " " << i;

@@ -414,7 +414,7 @@ CameraModel read_pinhole(const YAML::Node& node, const char* coefficients, const
 
 StereoCalibration read_kalibr(const Parsed& parsed) {
   const YAML::Node cam0 = parsed.root["cam0"], cam1 = parsed.root["cam1"];
-  if (!cam1) {
+  if (!cam1 || !cam1.IsMap()) {
     throw InputError(parsed.file, "is a camchain of one camera", "calibrate both cameras together");
   }
   StereoCalibration c;
@@ -605,7 +605,12 @@ StereoCalibration read_calibration(const fs::path& file_or_folder, KittiPair pai
       file = found[0];
     }
   }
-  StereoCalibration calibration = read_format(parse(file), pair);
+  StereoCalibration calibration;
+  try {
+    calibration = read_format(parse(file), pair);
+  } catch (const YAML::Exception& error) {  // a list where a value belongs, and the like
+    throw InputError(file, "is not built as its format says: " + error.msg, understood_calibrations());
+  }
   calibration.source = file.string();
   validate(calibration, file, true);
   // Files round their values: make the rotation exact.

@@ -98,7 +98,7 @@ int64_t median_period(const std::vector<int64_t>& ascending) {
   if (ascending.size() < 2) return 0;
   std::vector<int64_t> differences;
   for (size_t i = 1; i < ascending.size(); ++i) differences.push_back(ascending[i] - ascending[i - 1]);
-  const auto middle = differences.begin() + static_cast<std::ptrdiff_t>(differences.size() / 2);
+  const auto middle = differences.begin() + static_cast<std::ptrdiff_t>((differences.size() - 1) / 2);
   std::nth_element(differences.begin(), middle, differences.end());
   return *middle;
 }

@@ -30,7 +30,8 @@ Pairing pair_by_stamp(const std::vector<int64_t>& left, const std::vector<int64_
 // Numbers ascending; equal numbers belong together.
 Pairing pair_by_number(const std::vector<int64_t>& left, const std::vector<int64_t>& right);
 
-// Median of the differences of neighbours; 0 if there are fewer than two.
+// Median of the differences of neighbours, the lower one of two (gaps only lengthen them); 0 if there are fewer than
+// two.
 int64_t median_period(const std::vector<int64_t>& ascending);
 
 // One time a line, as seconds or as nanoseconds (whole numbers of at least 16 digits); "number time" in a line also

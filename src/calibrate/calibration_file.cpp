@@ -11,9 +11,9 @@
 #include <cmath>
 #include <cstdlib>
 #include <map>
-#include <opencv2/core.hpp>
 #include <optional>
 #include <sstream>
+#include <string_view>
 
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
@@ -52,30 +52,89 @@ std::optional<double> parse_number(std::string text) {
 
 // --- files into trees ----------------------------------------------------------------------------------------------
 
-YAML::Node tree_of(const cv::FileNode& node) {
-  YAML::Node tree;
-  if (node.isMap()) {
-    for (const cv::FileNode& child : node) tree[child.name()] = tree_of(child);
-  } else if (node.isSeq()) {
-    for (const cv::FileNode& child : node) tree.push_back(tree_of(child));
-  } else if (node.isInt()) {
-    tree = static_cast<int>(node);
-  } else if (node.isReal()) {
-    tree = fmt::format("{:.17g}", static_cast<double>(node));
-  } else if (node.isString()) {
-    tree = static_cast<std::string>(node);
-  }
-  return tree;
-}
+// The part of XML that OpenCV's storage uses: nested elements, text split at blanks. (OpenCV's own parser crashes on
+// damaged files.)
+class XmlReader {
+ public:
+  XmlReader(const fs::path& file, std::string_view text) : file_(file), text_(text) {}
 
-YAML::Node parse_xml(const fs::path& file, const std::string& text) {
-  try {
-    const cv::FileStorage storage(text, cv::FileStorage::READ | cv::FileStorage::MEMORY | cv::FileStorage::FORMAT_XML);
-    return tree_of(storage.root());
-  } catch (const cv::Exception& error) {
-    throw InputError(file, "is damaged XML: " + error.err, "write the calibration again");
+  // Content of the outermost element.
+  YAML::Node read() {
+    skip_to_element();
+    return element(0).second;
   }
-}
+
+ private:
+  [[noreturn]] void fail() const {
+    const auto line =
+        1 + std::count(text_.begin(), text_.begin() + static_cast<std::ptrdiff_t>(std::min(at_, text_.size())), '\n');
+    throw InputError(file_, fmt::format("line {}: damaged XML", line), "write the calibration again");
+  }
+  std::string_view until(std::string_view end) {
+    const size_t found = text_.find(end, at_);
+    if (found == std::string_view::npos) fail();
+    const std::string_view part = text_.substr(at_, found - at_);
+    at_ = found + end.size();
+    return part;
+  }
+  bool next_is(std::string_view start) const { return text_.substr(at_).starts_with(start); }
+
+  // Over text, comments and declarations to the next "<name".
+  void skip_to_element() {
+    for (;;) {
+      until("<");
+      if (next_is("?")) {
+        until("?>");
+      } else if (next_is("!--")) {
+        until("-->");
+      } else {
+        return;
+      }
+    }
+  }
+
+  // Stands behind '<'.
+  std::pair<std::string, YAML::Node> element(int depth) {
+    constexpr int kDeepest = 50;
+    if (depth > kDeepest) fail();
+    const std::string_view tag = until(">");
+    const std::string name(tag.substr(0, tag.find_first_of(" \t\r\n/")));
+    YAML::Node node;
+    if (name.empty()) fail();
+    if (tag.ends_with('/')) return {name, node};
+    std::string words;
+    for (;;) {
+      words += until("<");
+      if (next_is("!--")) {
+        until("-->");
+      } else if (next_is("/")) {
+        ++at_;
+        if (until(">") != name) fail();
+        break;
+      } else {
+        auto [child_name, child] = element(depth + 1);
+        if (child_name == "_") {  // OpenCV's name of list items
+          if (!node.IsNull() && !node.IsSequence()) fail();
+          node.push_back(child);
+        } else {
+          if (!node.IsNull() && !node.IsMap()) fail();
+          node[child_name] = child;
+        }
+      }
+    }
+    if (!node.IsNull()) return {name, node};
+    std::istringstream stream(words);
+    std::vector<std::string> tokens;
+    for (std::string token; stream >> token;) tokens.push_back(token);
+    if (tokens.size() == 1) node = tokens[0];
+    if (tokens.size() > 1) node = tokens;
+    return {name, node};
+  }
+
+  const fs::path& file_;
+  std::string_view text_;
+  size_t at_ = 0;
+};
 
 YAML::Node parse_yaml(const fs::path& file, std::string text) {
   // OpenCV's first line is not a legal YAML directive.
@@ -272,7 +331,7 @@ Parsed parse(const fs::path& file) {
   const size_t start = text.find_first_not_of(" \t\r\n");
   if (start == std::string::npos) throw InputError(file, "is empty", "write the calibration again");
   if (text[start] == '<') {
-    parsed.root = parse_xml(file, text);
+    parsed.root = XmlReader(file, text).read();
     parsed.format = format_of(parsed.root);
     return parsed;
   }

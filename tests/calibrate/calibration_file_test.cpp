@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <fstream>
 #include <opencv2/core.hpp>
 
 #include "iris/core/atomic_file.h"
@@ -297,6 +298,39 @@ TEST_F(CalibrationFile, ProblemsAreNamed) {
   EXPECT_THAT(error_of(with(kRotation, "0.8, 0., -0.6, 0., 1., 0., 0.6, 0., 0.9")), HasSubstr("is no rotation"));
   EXPECT_THAT(error_of(with("0., 0., 0., 0., 0.", "0., 0., 0.")),
               HasSubstr("the right camera has 3 distortion coefficients"));
+}
+
+// Whatever byte is damaged: the file is read or is an InputError, nothing else.
+TEST_F(CalibrationFile, DamagedBytesNeverDoWorse) {
+  const std::string kalibr =
+      "cam0:\n  camera_model: pinhole\n  intrinsics: [500, 500, 320, 240]\n  distortion_coeffs: [0, 0, 0, 0]\n"
+      "cam1:\n  intrinsics: [400, 400, 310, 250]\n  resolution: [640, 480]\n"
+      "  T_cn_cnm1: [[1, 0, 0, -0.3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n";
+  cv::FileStorage xml("x.xml", cv::FileStorage::WRITE | cv::FileStorage::MEMORY);
+  xml << "M1" << cv::Mat(cv::Matx33d(500, 0, 320, 0, 500, 240, 0, 0, 1)) << "M2"
+      << cv::Mat(cv::Matx33d(500, 0, 320, 0, 500, 240, 0, 0, 1)) << "R" << cv::Mat(cv::Matx33d::eye()) << "T"
+      << cv::Mat(cv::Vec3d(-0.3, 0, 0));
+  const std::string kitti = "P0: 50 0 32 0 0 50 24 0 0 0 1 0\nP1: 50 0 32 -5 0 50 24 0 0 0 1 0\n";
+  const fs::path file = folder_.path() / "rig.yaml";
+  int readable = 0, errors = 0;
+  for (const std::string& text : {kOpenCvHead + kIntrinsics + kExtrinsics, kalibr, xml.releaseAndGetString(), kitti}) {
+    for (size_t i = 0; i < text.size(); ++i) {
+      constexpr char kBytes[] = {' ', '\n', '[', ':', '9', '\0', '<'};
+      for (const size_t k : {i, i + 3}) {
+        std::string damaged = text;
+        damaged[i] = kBytes[k % sizeof kBytes];
+        std::ofstream(file, std::ios::binary) << damaged;
+        try {
+          read_calibration(file);
+          ++readable;
+        } catch (const InputError&) {
+          ++errors;
+        }
+      }
+    }
+  }
+  EXPECT_GT(readable, 300);
+  EXPECT_GT(errors, 300);
 }
 
 // A rotation with rounded values becomes exact.

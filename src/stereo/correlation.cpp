@@ -24,6 +24,8 @@ struct CorrelationBlock {
   const uint8_t* left;  // pixel (0, 0)
   const uint8_t* right;
   ptrdiff_t left_stride, right_stride;
+  ptrdiff_t left_plane, right_plane;  // from the image to each of the three planes of its census
+  bool census;
   int width, height;
   CorrelationParameters parameters;
   int tile;  // columns worked on together, a multiple of kMaxLanes
@@ -45,37 +47,71 @@ namespace iris::stereo::HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
 using Tag16 = hn::CappedTag<uint16_t, kMaxLanes>;
+#if HWY_TARGET == HWY_SCALAR
 using Tag8 = hn::Rebind<uint8_t, Tag16>;
+#else
+using Tag8 = hn::Repartition<uint8_t, Tag16>;
+#endif
+using Vec8 = hn::Vec<Tag8>;
 
-template <class V>
-HWY_INLINE V capped_difference(Tag8 d8, const uint8_t* a, const uint8_t* b, V cap) {
-  const auto va = hn::LoadU(d8, a), vb = hn::LoadU(d8, b);
-  return hn::Min(hn::Sub(hn::Max(va, vb), hn::Min(va, vb)), cap);
-}
-
-// sums += differences of the row that enters the window.
-HWY_INLINE void add_row(const uint8_t* left, const uint8_t* right, int cap, int n, uint16_t* sums) {
-  const Tag16 d16;
-  const Tag8 d8;
-  const int lanes = static_cast<int>(hn::Lanes(d16));
-  const auto vcap = hn::Set(d8, static_cast<uint8_t>(cap));
-  for (int i = 0; i < n; i += lanes) {
-    const auto in = hn::PromoteTo(d16, capped_difference(d8, left + i, right + i, vcap));
-    hn::StoreU(hn::Add(hn::LoadU(d16, sums + i), in), d16, sums + i);
+// What one pixel contributes, for as many columns as a vector has bytes.
+struct DifferenceCost {
+  static constexpr int kPlanes = 1;
+  static HWY_INLINE Vec8 at(const uint8_t* left, const uint8_t* right, ptrdiff_t, ptrdiff_t, Vec8 cap) {
+    const Tag8 d8;
+    const auto a = hn::LoadU(d8, left), b = hn::LoadU(d8, right);
+    return hn::Min(hn::Sub(hn::Max(a, b), hn::Min(a, b)), cap);
   }
-}
+};
+struct CensusCost {
+  static constexpr int kPlanes = 4;
+  static HWY_INLINE Vec8 at(const uint8_t* left, const uint8_t* right, ptrdiff_t left_plane, ptrdiff_t right_plane,
+                            Vec8 cap) {
+    const Tag8 d8;
+    const auto difference = DifferenceCost::at(left, right, 0, 0, cap);
+    const auto bits = [&](int plane) {
+      return hn::Xor(hn::LoadU(d8, left + plane * left_plane), hn::LoadU(d8, right + plane * right_plane));
+    };
+    // A full adder for each bit of the three bytes leaves two to be counted instead of three.
+    const auto a = bits(1), b = bits(2), c = bits(3);
+    const auto half = hn::Xor(a, b);
+    const auto ones = hn::PopulationCount(hn::Xor(half, c));
+    const auto twos = hn::PopulationCount(hn::Or(hn::And(a, b), hn::And(half, c)));
+    const auto count = hn::Add(ones, hn::Add(twos, twos));
+    const auto count2 = hn::Add(count, count);
+    static_assert(kCensusWeight == 5 && kGreyWeight == 2);
+    return hn::Add(hn::Add(count, hn::Add(count2, count2)), hn::Add(difference, difference));
+  }
+};
 
-// The same while another row leaves it.
-HWY_INLINE void exchange_row(const uint8_t* left, const uint8_t* right, const uint8_t* old_left,
-                             const uint8_t* old_right, int cap, int n, uint16_t* sums) {
+// One row of both images at one candidate.
+struct RowPair {
+  const uint8_t* left;
+  const uint8_t* right;
+};
+
+// sums += costs of the row that enters the window - costs of the row that leaves it (if there is one).
+template <class Cost, bool kLeaves>
+HWY_INLINE void move_columns(const CorrelationBlock& block, RowPair enters, RowPair leaves, int n, uint16_t* sums) {
   const Tag16 d16;
   const Tag8 d8;
-  const int lanes = static_cast<int>(hn::Lanes(d16));
-  const auto vcap = hn::Set(d8, static_cast<uint8_t>(cap));
-  for (int i = 0; i < n; i += lanes) {
-    const auto in = hn::PromoteTo(d16, capped_difference(d8, left + i, right + i, vcap));
-    const auto out = hn::PromoteTo(d16, capped_difference(d8, old_left + i, old_right + i, vcap));
-    hn::StoreU(hn::Add(hn::LoadU(d16, sums + i), hn::Sub(in, out)), d16, sums + i);
+  const hn::Rebind<uint8_t, Tag16> half8;
+  const auto cap = hn::Set(d8, static_cast<uint8_t>(block.parameters.cap));
+  const auto add = [&](hn::Vec<decltype(half8)> in, hn::Vec<decltype(half8)> out, uint16_t* to) {
+    auto sum = hn::Add(hn::LoadU(d16, to), hn::PromoteTo(d16, in));
+    if (kLeaves) sum = hn::Sub(sum, hn::PromoteTo(d16, out));
+    hn::StoreU(sum, d16, to);
+  };
+  for (int i = 0; i < n; i += static_cast<int>(hn::Lanes(d8))) {
+    const auto in = Cost::at(enters.left + i, enters.right + i, block.left_plane, block.right_plane, cap);
+    auto out = in;
+    if (kLeaves) out = Cost::at(leaves.left + i, leaves.right + i, block.left_plane, block.right_plane, cap);
+#if HWY_TARGET == HWY_SCALAR
+    add(in, out, sums + i);
+#else
+    add(hn::LowerHalf(half8, in), hn::LowerHalf(half8, out), sums + i);
+    add(hn::UpperHalf(half8, in), hn::UpperHalf(half8, out), sums + i + hn::Lanes(d16));
+#endif
   }
 }
 
@@ -167,12 +203,13 @@ HWY_INLINE void select_right(const uint16_t* cost, ptrdiff_t stride, const Corre
   }
 }
 
-void correlate_block(const CorrelationBlock& block) {
+template <class Cost>
+void correlate_rows(const CorrelationBlock& block) {
   const CorrelationParameters& p = block.parameters;
   const int lanes = static_cast<int>(hn::Lanes(Tag16()));
   const int rx = p.window_width / 2, ry = p.window_height / 2;
   const int n_window = (block.tile + 2 * rx + lanes - 1) / lanes * lanes;
-  const int n_columns = (n_window + 2 * rx + lanes - 1) / lanes * lanes;
+  const int n_columns = (n_window + 2 * rx + 2 * lanes - 1) / (2 * lanes) * (2 * lanes);
   const int ring = 2 * ry + 1;
   // Strides that are no multiple of a page keep the candidates of one pixel out of one cache set.
   const ptrdiff_t column_stride = n_columns + kMaxLanes;
@@ -204,19 +241,16 @@ void correlate_block(const CorrelationBlock& block) {
     const auto window_row = [&](int y, bool first) {
       for (int d = 0; d < disparities; ++d) {
         uint16_t* sums = columns.get() + column_stride * d;
-        const auto left_row = [&](int row) {
-          return block.left + block.left_stride * std::clamp(row, 0, block.height - 1) + x_columns;
-        };
-        const auto right_row = [&](int row) {
-          return block.right + block.right_stride * std::clamp(row, 0, block.height - 1) + x_columns - p.min_disparity -
-                 d;
+        const auto rows = [&](int row) {
+          const int inside = std::clamp(row, 0, block.height - 1);
+          return RowPair{block.left + block.left_stride * inside + x_columns,
+                         block.right + block.right_stride * inside + x_columns - p.min_disparity - d};
         };
         if (first) {
           std::fill(sums, sums + n_columns, uint16_t{0});
-          for (int k = -ry; k <= ry; ++k) add_row(left_row(y + k), right_row(y + k), p.cap, n_columns, sums);
+          for (int k = -ry; k <= ry; ++k) move_columns<Cost, false>(block, rows(y + k), {}, n_columns, sums);
         } else {
-          exchange_row(left_row(y + ry), right_row(y + ry), left_row(y - ry - 1), right_row(y - ry - 1), p.cap,
-                       n_columns, sums);
+          move_columns<Cost, true>(block, rows(y + ry), rows(y - ry - 1), n_columns, sums);
         }
         // Columns a … b have a partner; the others must not contribute.
         const int a = std::max(0, p.min_disparity + d);
@@ -288,6 +322,14 @@ void correlate_block(const CorrelationBlock& block) {
   }
 }
 
+void correlate_block(const CorrelationBlock& block) {
+  if (block.census) {
+    correlate_rows<CensusCost>(block);
+  } else {
+    correlate_rows<DifferenceCost>(block);
+  }
+}
+
 }  // namespace iris::stereo::HWY_NAMESPACE
 HWY_AFTER_NAMESPACE();
 
@@ -298,54 +340,76 @@ HWY_EXPORT(correlate_block);
 
 namespace {
 
-// Copy with `before` and `after` columns of room on the sides.
+// Copies of an image and, if wanted, of its census, with `before` and `after` columns of room on the sides.
 struct Padded {
+  ptrdiff_t stride, plane;
   std::vector<uint8_t> bytes;
-  ptrdiff_t stride;
   const uint8_t* origin;
 
-  Padded(const cv::Mat1b& image, int before, int after)
-      : bytes(static_cast<size_t>(image.cols + before + after) * image.rows),
-        stride(image.cols + before + after),
+  Padded(const MatchImage& image, int before, int after)
+      : stride(image.grey.cols + before + after),
+        plane(stride * image.grey.rows),
+        bytes(static_cast<size_t>(plane) * (image.census[0].empty() ? 1 : 4)),
         origin(bytes.data() + before) {
-    for (int y = 0; y < image.rows; ++y) std::copy_n(image[y], image.cols, bytes.data() + before + y * stride);
+    for (int y = 0; y < image.grey.rows; ++y) {
+      uint8_t* row = bytes.data() + before + y * stride;
+      std::copy_n(image.grey[y], image.grey.cols, row);
+      for (int i = 0; i < 3 && !image.census[0].empty(); ++i) {
+        std::copy_n(image.census[i][y], image.grey.cols, row + (i + 1) * plane);
+      }
+    }
   }
 };
 
 }  // namespace
 
-Correlation correlate(const cv::Mat1b& left, const cv::Mat1b& right, const CorrelationParameters& p) {
-  IRIS_CHECK(left.size() == right.size() && !left.empty());
-  IRIS_CHECK(p.disparities > 0 && p.window_width % 2 == 1 && p.window_height % 2 == 1 && p.cap > 0 && p.cap <= 255);
-  IRIS_CHECK(3 * p.window_width * p.window_height * p.cap < Correlation::kNone);
+int largest_cap(int window_width, int window_height, bool census) {
+  const int of_pixel = std::min(255, (Correlation::kNone - 1) / (3 * window_width * window_height));
+  return census ? (of_pixel - 24 * kCensusWeight) / kGreyWeight : of_pixel;
+}
+
+Correlation correlate(const MatchImage& left, const MatchImage& right, const CorrelationParameters& p) {
+  const cv::Size size = left.grey.size();
+  const bool census = !left.census[0].empty();
+  IRIS_CHECK(!left.grey.empty() && right.grey.size() == size);
+  for (int i = 0; i < 3; ++i) {
+    IRIS_CHECK(left.census[i].size() == (census ? size : cv::Size()) &&
+               right.census[i].size() == left.census[i].size());
+  }
+  IRIS_CHECK(p.disparities > 0 && p.window_width % 2 == 1 && p.window_height % 2 == 1);
+  IRIS_CHECK(p.cap >= 0 && p.cap <= largest_cap(p.window_width, p.window_height, census));
   constexpr int kRowsPerBlock = 64;
   constexpr int kCacheBytes = 640 << 10;  // of the windows, the largest part of what a tile needs
 
   const int tile_for_cache = kCacheBytes / (2 * p.disparities * p.window_height);
-  const int tiles = (left.cols + std::max(tile_for_cache, 2 * kMaxLanes) - 1) / std::max(tile_for_cache, 2 * kMaxLanes);
-  const int tile = ((left.cols + tiles - 1) / tiles + kMaxLanes - 1) / kMaxLanes * kMaxLanes;
+  const int tiles =
+      (size.width + std::max(tile_for_cache, 2 * kMaxLanes) - 1) / std::max(tile_for_cache, 2 * kMaxLanes);
+  const int tile = ((size.width + tiles - 1) / tiles + kMaxLanes - 1) / kMaxLanes * kMaxLanes;
 
   const int beside = p.window_width;
-  const int after = tile + 2 * p.window_width + 3 * kMaxLanes;
+  const int after = tile + 2 * p.window_width + 4 * kMaxLanes;
   const Padded padded_left(left, beside, after);
   const Padded padded_right(right, beside + std::max(0, p.min_disparity + p.disparities),
                             after + std::max(0, -p.min_disparity));
   Correlation out;
   for (cv::Mat1w* image : {&out.winner, &out.cost, &out.second, &out.before, &out.after, &out.right_winner}) {
-    image->create(left.size());
+    image->create(size);
   }
-  parallel_chunks(0, left.rows, kRowsPerBlock, [&](int y0, int y1) {
-    const CorrelationBlock block = {padded_left.origin,
-                                    padded_right.origin,
-                                    padded_left.stride,
-                                    padded_right.stride,
-                                    left.cols,
-                                    left.rows,
-                                    p,
-                                    tile,
-                                    y0,
-                                    y1,
-                                    &out};
+  parallel_chunks(0, size.height, kRowsPerBlock, [&](int y0, int y1) {
+    const CorrelationBlock block = {.left = padded_left.origin,
+                                    .right = padded_right.origin,
+                                    .left_stride = padded_left.stride,
+                                    .right_stride = padded_right.stride,
+                                    .left_plane = padded_left.plane,
+                                    .right_plane = padded_right.plane,
+                                    .census = census,
+                                    .width = size.width,
+                                    .height = size.height,
+                                    .parameters = p,
+                                    .tile = tile,
+                                    .y0 = y0,
+                                    .y1 = y1,
+                                    .out = &out};
     HWY_DYNAMIC_DISPATCH(correlate_block)(block);
   });
   return out;

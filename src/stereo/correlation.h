@@ -4,15 +4,32 @@
 #include <cstdint>
 #include <opencv2/core.hpp>
 
+#include "census.h"
+
 namespace iris::stereo {
+
+// One image of a pair as it is compared.
+struct MatchImage {
+  cv::Mat1b grey;  // filtered or not
+  Census census;   // empty planes = compare grey values only
+};
+
+// What one pixel contributes to the cost of a window:
+//   without census  min(|left - right|, cap)
+//   with census     5 * (number of census bits that differ) + 2 * min(|left - right|, cap)
+inline constexpr int kCensusWeight = 5, kGreyWeight = 2;
 
 struct CorrelationParameters {
   int disparities = 0;    // candidates are min_disparity + 0 … disparities - 1
   int min_disparity = 0;  // [px]
   int window_width = 9;   // [px] odd
   int window_height = 7;  // [px] odd
-  int cap = 255;          // a pixel contributes min(|left - right|, cap); 3 * width * height * cap must be < 65535
+  int cap = 255;          // [grey levels]
 };
+
+// The largest cap for which one pixel's contribution fits into 8 bits and a cost (the sum over three windows) into 16.
+// Negative if the windows are too large for any.
+int largest_cap(int window_width, int window_height, bool census);
 
 // What the filters need to know about each pixel of the left image. Disparities are indices 0 … disparities - 1, costs
 // are sums over three windows (the middle one and the two best of the four supporting ones, equation 3.1).
@@ -28,6 +45,6 @@ struct Correlation {
 
 // Windows that reach beyond the sides of either image are cut there and their sums scaled to the full area; a window
 // whose centre is outside does not exist. Above and below, the images continue with their border rows.
-Correlation correlate(const cv::Mat1b& left, const cv::Mat1b& right, const CorrelationParameters& parameters);
+Correlation correlate(const MatchImage& left, const MatchImage& right, const CorrelationParameters& parameters);
 
 }  // namespace iris::stereo

@@ -32,16 +32,20 @@ void MwmfOptions::declare(OptionSet& set) {
           "Filling of gaps: off; within = inside of surfaces only; everywhere = between surfaces as well, from the "
           "farther one. What was measured stays marked as measured in every case.");
   set.add(
+      "measure", measure, {"census", "difference"},
+      "How pixels are compared: difference = by grey values alone, as in the thesis; census = also by which of their "
+      "neighbours are darker: fewer wrong matches, half as much time again.");
+  set.add(
       "log_sigma", log_sigma, "px", 0, 5,
-      "Laplacian of Gaussian before the correlation; removes differences of brightness between the cameras. 0 = off "
-      "(then difference_cap should be about 20).");
+      "Laplacian of Gaussian before grey values are compared; removes differences of brightness between the cameras. "
+      "0 = off (then difference_cap should be about 15).");
   set.add(
       "difference_cap", difference_cap, "grey levels", 0, 255,
-      "Largest difference that one pixel contributes, so that pixels of another surface in the window count little. "
-      "0 = no cap.");
-  set.add("window_width", window_width, "px", 1, 31,
+      "Largest difference of grey values that one pixel contributes, so that pixels of another surface in the window "
+      "count little. 0 = the largest that the arithmetic allows.");
+  set.add("window_width", window_width, "px", 1, 13,
           "Width of the correlation windows, odd. Larger: fewer wrong matches, coarser borders of objects.");
-  set.add("window_height", window_height, "px", 1, 31, "Height of the correlation windows, odd.");
+  set.add("window_height", window_height, "px", 1, 13, "Height of the correlation windows, odd.");
   set.add("min_margin", min_margin, "grey levels per window pixel", 0, 100,
           "A match is ambiguous, and rejected, if another disparity fits nearly as well: worse by less than this. "
           "0 = keep all.");
@@ -58,6 +62,8 @@ DisparityImage mwmf(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOpt
   IRIS_CHECK(options.disparities > 0);
   IRIS_CHECK(!left.empty() && left.size() == right.size());
   const Interpolation interpolation = parse_interpolation(options.interpolation);
+  const bool census = options.measure == "census";
+  IRIS_CHECK(census || options.measure == "difference");
   const bool use_log = options.log_sigma > 0;
 
   CorrelationParameters parameters;
@@ -65,16 +71,22 @@ DisparityImage mwmf(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOpt
   parameters.min_disparity = options.min_disparity;
   parameters.window_width = options.window_width | 1;
   parameters.window_height = options.window_height | 1;
+  const int max_cap = largest_cap(parameters.window_width, parameters.window_height, census);
+  IRIS_CHECK(max_cap >= 0);
+  const double units = use_log ? kLogUnits : 1;  // of the compared images per grey level
+  const double cap = options.difference_cap > 0 ? options.difference_cap * units : max_cap;
+  parameters.cap = static_cast<int>(std::lround(std::min<double>(cap, max_cap)));
   const int pixels = 3 * parameters.window_width * parameters.window_height;  // that a cost sums up
-  const double units = use_log ? kLogUnits : 1;                               // per grey level
-  const int largest_cap = std::min(255, (Correlation::kNone - 1) / pixels);   // costs are 16-bit integers
-  const double cap = options.difference_cap > 0 ? options.difference_cap * units : largest_cap;
-  parameters.cap = std::clamp(static_cast<int>(std::lround(cap)), 1, largest_cap);
-  const int min_margin = static_cast<int>(std::lround(options.min_margin * units * pixels));
+  const double weight = census ? kGreyWeight : 1;
+  const int min_margin = static_cast<int>(std::lround(options.min_margin * units * weight * pixels));
 
-  // Correlation with multiple windows (3.4.1, 3.4.2).
-  const Correlation correlation = correlate(use_log ? log_filter(left, options.log_sigma) : left,
-                                            use_log ? log_filter(right, options.log_sigma) : right, parameters);
+  // What is compared: grey values, filtered by the Laplacian of Gaussian (3.4.1), and how they are ordered.
+  const auto prepare = [&](const cv::Mat1b& image) {
+    return MatchImage{use_log ? log_filter(image, options.log_sigma) : image,
+                      census ? census_transform(image) : Census()};
+  };
+  // Correlation with multiple windows (3.4.2).
+  const Correlation correlation = correlate(prepare(left), prepare(right), parameters);
   // Filters (3.4.3, 3.4.1).
   cv::Mat1w winner = correlation.winner.clone();
   if (min_margin > 0) reject_ambiguous(correlation, min_margin, winner);

@@ -18,6 +18,7 @@
 #include "src/stereo/filters.h"
 #include "src/stereo/interpolation.h"
 #include "src/stereo/log_filter.h"
+#include "support/simd_targets.h"
 #include "support/stereo_pairs.h"
 
 namespace {
@@ -60,10 +61,21 @@ int main(int argc, char** argv) {
                  left_log = log_filter(left, options.log_sigma);
                  right_log = log_filter(right, options.log_sigma);
                }));
+    Census census_left, census_right;
+    fmt::print("  census, both      {:6.1f}\n", fastest_ms(10, [&] {
+                 census_left = census_transform(left);
+                 census_right = census_transform(right);
+               }));
     Correlation correlation;
-    const CorrelationParameters parameters{options.disparities, 0, options.window_width, options.window_height, 24};
-    fmt::print("  correlation       {:6.1f}\n",
-               fastest_ms(10, [&] { correlation = correlate(left_log, right_log, parameters); }));
+    const CorrelationParameters parameters{options.disparities, 0, options.window_width, options.window_height, 16};
+    fmt::print("  correlation       {:6.1f}\n", fastest_ms(10, [&] {
+                 correlation = correlate({left_log, census_left}, {right_log, census_right}, parameters);
+               }));
+    iris::testing::for_each_simd_target([&](const char* target) {
+      fmt::print("    with {:12s} {:6.1f}\n", target, fastest_ms(3, [&] {
+                   correlation = correlate({left_log, census_left}, {right_log, census_right}, parameters);
+                 }));
+    });
     cv::Mat1w winner;
     cv::Mat1f disparity;
     fmt::print("  filters, sub-pixel{:6.1f}\n", fastest_ms(10, [&] {

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 
 #include "iris/core/parallel.h"
 #include "support/simd_targets.h"
@@ -16,8 +17,16 @@ constexpr int kNone = Correlation::kNone;
 // Everything by its definition, window by window.
 class Reference {
  public:
-  Reference(const cv::Mat1b& left, const cv::Mat1b& right, const CorrelationParameters& p)
-      : left_(left), right_(right), p_(p) {}
+  Reference(const MatchImage& left, const MatchImage& right, const CorrelationParameters& p)
+      : left_(left), right_(right), p_(p), rows_(left.grey.rows), cols_(left.grey.cols) {}
+
+  int pixel(int y, int x, int x_right) const {
+    const int difference = std::min(p_.cap, std::abs(left_.grey(y, x) - right_.grey(y, x_right)));
+    if (left_.census[0].empty()) return difference;
+    int bits = 0;
+    for (int i = 0; i < 3; ++i) bits += std::popcount<unsigned>(left_.census[i](y, x) ^ right_.census[i](y, x_right));
+    return 5 * bits + 2 * difference;
+  }
 
   // Sum over the window centred at (x, y); cut at the sides of either image and scaled, kNone if its centre is outside.
   int window(int y, int x, int d) const {
@@ -27,8 +36,7 @@ class Reference {
       if (!exists(u, d)) continue;
       ++columns;
       for (int v = y - p_.window_height / 2; v <= y + p_.window_height / 2; ++v) {
-        const int row = std::clamp(v, 0, left_.rows - 1);
-        sum += std::min(p_.cap, std::abs(left_(row, u) - right_(row, u - p_.min_disparity - d)));
+        sum += pixel(std::clamp(v, 0, rows_ - 1), u, u - p_.min_disparity - d);
       }
     }
     return sum * p_.window_width / columns;
@@ -37,7 +45,7 @@ class Reference {
   // SAD5 (3.1): the supporting windows stand on the corners of the middle one; above and below they stay in the image.
   int cost(int y, int x, int d) const {
     const int rx = p_.window_width / 2, ry = p_.window_height / 2;
-    const int up = std::max(0, y - ry), down = std::min(left_.rows - 1, y + ry);
+    const int up = std::max(0, y - ry), down = std::min(rows_ - 1, y + ry);
     std::array<int, 4> corners = {window(up, x - rx, d), window(up, x + rx, d), window(down, x - rx, d),
                                   window(down, x + rx, d)};
     std::sort(corners.begin(), corners.end());
@@ -45,8 +53,8 @@ class Reference {
   }
 
   void expect_equal(const Correlation& c) const {
-    for (int y = 0; y < left_.rows; ++y) {
-      for (int x = 0; x < left_.cols; ++x) {
+    for (int y = 0; y < rows_; ++y) {
+      for (int x = 0; x < cols_; ++x) {
         std::vector<int> costs(p_.disparities);
         for (int d = 0; d < p_.disparities; ++d) costs[d] = cost(y, x, d);
         const int best = static_cast<int>(std::min_element(costs.begin(), costs.end()) - costs.begin());
@@ -66,7 +74,7 @@ class Reference {
         int right_best = kNone, right_cost = kNone;  // pixel x of the right image
         for (int d = 0; d < p_.disparities; ++d) {
           const int u = x + p_.min_disparity + d;
-          if (u < 0 || u >= left_.cols) continue;
+          if (u < 0 || u >= cols_) continue;
           const int value = cost(y, u, d);
           if (value < right_cost) {
             right_cost = value;
@@ -81,10 +89,11 @@ class Reference {
  private:
   bool exists(int x, int d) const {
     const int partner = x - p_.min_disparity - d;
-    return x >= 0 && x < left_.cols && partner >= 0 && partner < left_.cols;
+    return x >= 0 && x < cols_ && partner >= 0 && partner < cols_;
   }
-  const cv::Mat1b &left_, &right_;
+  const MatchImage left_, right_;
   const CorrelationParameters p_;
+  const int rows_, cols_;
 };
 
 struct Case {
@@ -107,8 +116,19 @@ TEST_P(CorrelationCases, EveryInstructionSetGivesTheDefinitionBitForBit) {
       if ((x / 16 + y / 8) % 3 == 1) right(y, x) = left(y, x) = 90;
     }
   }
-  const Reference reference(left, right, c.parameters);
-  testing::for_each_simd_target([&] { reference.expect_equal(correlate(left, right, c.parameters)); });
+  for (const bool census : {false, true}) {
+    CorrelationParameters parameters = c.parameters;
+    const int max_cap = largest_cap(parameters.window_width, parameters.window_height, census);
+    if (max_cap < 0) continue;  // windows too large for 16 bits
+    parameters.cap = std::min(parameters.cap, max_cap);
+    const MatchImage l = {left, census ? census_transform(left) : Census()};
+    const MatchImage r = {right, census ? census_transform(right) : Census()};
+    const Reference reference(l, r, parameters);
+    testing::for_each_simd_target([&](const char* target) {
+      SCOPED_TRACE(target);
+      reference.expect_equal(correlate(l, r, parameters));
+    });
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Sizes, CorrelationCases,
@@ -125,7 +145,39 @@ TEST(Correlation, WideImagesInSeveralTilesAgreeWithTheDefinition) {
   random.fill(left, cv::RNG::UNIFORM, 0, 256);
   random.fill(right, cv::RNG::UNIFORM, 0, 256);
   const CorrelationParameters parameters{300, 0, 9, 7, 24};
-  Reference(left, right, parameters).expect_equal(correlate(left, right, parameters));
+  Reference({left, {}}, {right, {}}, parameters).expect_equal(correlate({left, {}}, {right, {}}, parameters));
+}
+
+TEST(Census, EveryInstructionSetGivesTheDefinition) {
+  cv::RNG random(6);
+  for (const cv::Size size : {cv::Size(1, 1), cv::Size(7, 3), cv::Size(70, 40), cv::Size(131, 33)}) {
+    cv::Mat1b image(size);
+    random.fill(image, cv::RNG::UNIFORM, 100, 110);  // with ties
+    testing::for_each_simd_target([&](const char* target) {
+      SCOPED_TRACE(target);
+      const Census census = census_transform(image);
+      for (int y = 0; y < size.height; ++y) {
+        for (int x = 0; x < size.width; ++x) {
+          int k = 0;
+          for (int dy = -2; dy <= 2; ++dy) {
+            for (int dx = -2; dx <= 2; ++dx) {
+              if (dx == 0 && dy == 0) continue;
+              const int v = std::clamp(y + dy, 0, size.height - 1), u = std::clamp(x + dx, 0, size.width - 1);
+              ASSERT_EQ((census[k / 8](y, x) >> (k % 8)) & 1, image(v, u) < image(y, x) ? 1 : 0);
+              ++k;
+            }
+          }
+        }
+      }
+    });
+  }
+}
+
+TEST(Correlation, LargestCapKeepsCostsInSixteenBits) {
+  EXPECT_EQ(largest_cap(9, 7, false), 255);
+  EXPECT_EQ(largest_cap(31, 31, false), 22);  // 65534 / (3 * 961)
+  EXPECT_EQ(largest_cap(7, 7, true), 67);     // (255 - 120) / 2
+  EXPECT_LT(largest_cap(31, 31, true), 0);
 }
 
 TEST(Correlation, DoesNotDependOnThreads) {
@@ -135,8 +187,8 @@ TEST(Correlation, DoesNotDependOnThreads) {
   random.fill(right, cv::RNG::UNIFORM, 0, 256);
   const CorrelationParameters parameters{40, 0, 9, 7, 24};
   Correlation one, many;
-  with_threads(1, [&] { one = correlate(left, right, parameters); });
-  with_threads(4, [&] { many = correlate(left, right, parameters); });
+  with_threads(1, [&] { one = correlate({left, {}}, {right, {}}, parameters); });
+  with_threads(4, [&] { many = correlate({left, {}}, {right, {}}, parameters); });
   for (const auto member : {&Correlation::winner, &Correlation::cost, &Correlation::second, &Correlation::before,
                             &Correlation::after, &Correlation::right_winner}) {
     EXPECT_EQ(cv::countNonZero(one.*member != many.*member), 0);

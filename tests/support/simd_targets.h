@@ -1,4 +1,5 @@
-// Runs code once for each instruction set that this machine has and that the library was compiled for.
+// Runs code once for each instruction set that this machine has and that the library was compiled for, with
+// its name.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -9,12 +10,11 @@
 
 namespace iris::testing {
 
-inline void for_each_simd_target(const std::function<void()>& body) {
+inline void for_each_simd_target(const std::function<void(const char* target)>& body) {
   for (const int64_t target : hwy::SupportedAndGeneratedTargets()) {
     hwy::SetSupportedTargetsForTest(target);
     hwy::GetChosenTarget().DeInit();
-    SCOPED_TRACE(hwy::TargetName(target));
-    body();
+    body(hwy::TargetName(target));
   }
   hwy::SetSupportedTargetsForTest(0);
   hwy::GetChosenTarget().DeInit();

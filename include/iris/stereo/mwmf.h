@@ -15,10 +15,11 @@ struct MwmfOptions {
   int min_disparity = 0;                     // [px] start of the search range; negative if the cameras squint
   std::string interpolation = "everywhere";  // off | within | everywhere (3.4.5)
 
-  double log_sigma = 1.0;       // [px] Laplacian of Gaussian before the correlation (3.4.1); 0 = off
-  double difference_cap = 3.0;  // [grey levels] largest difference that one pixel contributes; 0 = no cap
-  int window_width = 9;         // [px] correlation window (3.4.2); odd (an even number is raised by one)
-  int window_height = 7;        // [px]
+  std::string measure = "census";  // census | difference: census bits and grey values, or grey values alone (3.4.2)
+  double log_sigma = 1.0;          // [px] Laplacian of Gaussian on the grey values (3.4.1); 0 = off
+  double difference_cap = 2.0;     // [grey levels] most that one pixel's difference counts; 0 = no cap of its own
+  int window_width = 7;            // [px] correlation window (3.4.2); odd (an even number is raised by one)
+  int window_height = 7;           // [px]
 
   double min_margin = 0.02;           // [grey levels per window pixel] smallest margin of the winner (3.4); 0 = off
   double left_right_tolerance = 1.0;  // [px] largest difference between both search directions (3.4.1); < 0 = off

@@ -9,6 +9,8 @@
 namespace iris::motion {
 namespace {
 
+constexpr double kMaxMoved = kPatchSize / 2;  // [px] beyond this it is the surroundings of something else
+
 int difference(const RankPatch& a, const RankPatch& b) {
   int sum = 0;
   for (size_t i = 0; i < a.size(); ++i) sum += std::abs(a[i] - b[i]);
@@ -104,12 +106,13 @@ std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>
   cv::calcOpticalFlowPyrLK(prev_image, cur_image, from, to, found, cv::noArray(), cv::Size(15, 15), 0, stop,
                            cv::OPTFLOW_USE_INITIAL_FLOW);
   for (size_t k = 0; k < matches.size(); ++k) {
-    if (!found[k] || !(cv::norm(to[k] - start[k]) <= options.max_refinement)) continue;
+    const double moved = cv::norm(to[k] - start[k]);
+    if (!found[k] || !(moved <= kMaxMoved)) continue;
     const cv::Point2d at = from_turned(to[k], turns, size);
     const double disparity = usable_disparity(cur.disparity, at.x, at.y, camera, options);
     if (disparity == 0) continue;
     result.push_back({matches[k].first, matches[k].second, prev.corners[matches[k].first].point_in_cam,
-                      camera.point(at.x, at.y, disparity)});
+                      camera.point(at.x, at.y, disparity), moved});
   }
   return result;
 }

@@ -72,7 +72,11 @@ MinimisedMotion minimise(const RectifiedCamera& camera, const std::vector<PointP
     return minimise_motion(camera, pairs, ErrorModel::image, options.pixel_error, huber, guess);
   }
   MinimisedMotion result = minimise_motion(camera, pairs, ErrorModel::ellipsoid, options.pixel_error, huber, guess);
-  if (options.model == "spherical") result.prev_from_cur = guess;  // the ellipsoid only says how certain it is
+  if (options.model == "spherical") {  // the ellipsoid only says how certain it is
+    const std::optional<Pose> closed_form = spherical_guess(pairs, camera, options.pixel_error);
+    result.converged = result.converged && closed_form;
+    if (closed_form) result.prev_from_cur = *closed_form;
+  }
   return result;
 }
 
@@ -83,17 +87,10 @@ double image_rms(const RectifiedCamera& camera, const std::vector<PointPair>& pa
   return std::sqrt(sum / (8 * static_cast<double>(pairs.size())));
 }
 
-MotionEstimate estimate_turned(const ViewFeatures& prev, const ViewFeatures& cur, int turns,
-                               const RectifiedCamera& camera, const ScsOptions& options) {
+// The motion that most of the correspondences agree on.
+MotionEstimate estimate_from(const std::vector<Correspondence>& initial, int turns, const RectifiedCamera& camera,
+                             const ScsOptions& options) {
   MotionEstimate estimate;
-  estimate.corners = static_cast<int>(cur.corners.size());
-  if (static_cast<int>(std::min(prev.corners.size(), cur.corners.size())) < options.min_used) {
-    estimate.status = MotionStatus::too_few_corners;
-    return estimate;
-  }
-  // Initial correspondences (5.3.2).
-  const auto matches = match_corners(prev, cur, turns);
-  const auto initial = refine_matches(matches, prev, cur, turns, camera, options);
   estimate.initial = static_cast<int>(initial.size());
 
   // Those that are consistent with each other (5.3.3).
@@ -104,26 +101,48 @@ MotionEstimate estimate_turned(const ViewFeatures& prev, const ViewFeatures& cur
   estimate.status = MotionStatus::too_few_consistent;
   if (estimate.consistent < options.min_used) return estimate;
 
-  // First guess, rejection of what does not fit it, minimisation (5.3.4).
-  std::optional<Pose> guess = spherical_guess(pairs, camera, options.pixel_error);
-  if (guess) {
-    pairs = without_suspicious(pairs, *guess, camera, options.pixel_error);
+  // First guess, rejection of what does not fit it, minimisation (5.3.4). The guess is rough, so that the minimised
+  // motion shows further suspicious ones: repeated until it shows none.
+  std::optional<Pose> motion = spherical_guess(pairs, camera, options.pixel_error);
+  MinimisedMotion minimised;
+  for (bool suspicious = true; suspicious;) {
+    estimate.status = MotionStatus::degenerate;
+    if (!motion) return estimate;
+    const size_t before = pairs.size();
+    pairs = without_suspicious(pairs, *motion, camera, options.pixel_error);
+    suspicious = pairs.size() != before || !minimised.converged;
     estimate.used = static_cast<int>(pairs.size());
+    estimate.status = MotionStatus::too_few_consistent;
     if (estimate.used < options.min_used) return estimate;
-    guess = spherical_guess(pairs, camera, options.pixel_error);
+    if (suspicious) minimised = minimise(camera, pairs, options, *motion);
+    motion.reset();
+    if (minimised.converged) motion = minimised.prev_from_cur;
   }
-  estimate.status = MotionStatus::degenerate;
-  if (!guess) return estimate;
-  const MinimisedMotion minimised = minimise(camera, pairs, options, *guess);
-  if (!minimised.converged) return estimate;
-  estimate.prev_from_cur = minimised.prev_from_cur;
+  estimate.prev_from_cur = *motion;
   estimate.covariance = minimised.covariance;
-  estimate.rms_px = image_rms(camera, pairs, minimised.prev_from_cur);
+  estimate.rms_px = image_rms(camera, pairs, *motion);
+  if (estimate.rms_px > options.max_rms_px) return estimate;
+  estimate.status = MotionStatus::degenerate;
   const Eigen::Matrix3d rotation_covariance = minimised.covariance.bottomRightCorner<3, 3>();
   const double largest =
       Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(rotation_covariance, Eigen::EigenvaluesOnly).eigenvalues()(2);
   if (largest <= std::pow(options.max_rotation_error * kRadians, 2)) estimate.status = MotionStatus::ok;
   return estimate;
+}
+
+// With the current view turned by a number of quarter turns.
+MotionEstimate estimate_turned(const ViewFeatures& prev, const ViewFeatures& cur, int turns,
+                               const RectifiedCamera& camera, const ScsOptions& options) {
+  // Initial correspondences (5.3.2). The well placed ones alone are more accurate; blur and large motion need all.
+  const auto matches = match_corners(prev, cur, turns);
+  const auto all = refine_matches(matches, prev, cur, turns, camera, options);
+  std::vector<Correspondence> well_placed;
+  for (const Correspondence& c : all)
+    if (c.moved <= options.max_refinement) well_placed.push_back(c);
+  const MotionEstimate estimate = estimate_from(well_placed, turns, camera, options);
+  if (estimate.status == MotionStatus::ok || well_placed.size() == all.size()) return estimate;
+  const MotionEstimate with_all = estimate_from(all, turns, camera, options);
+  return with_all.status == MotionStatus::ok ? with_all : estimate;
 }
 
 }  // namespace
@@ -143,13 +162,15 @@ void ScsOptions::declare(OptionSet& set) {
       "least Harris response in (grey levels per px)^4; lower finds corners in weak texture, but noise too (5.3.1)");
   set.add("min_disparity", min_disparity, "px", 0.1, 1000,
           "corners with less disparity are too far away to help (5.3.1)");
-  set.add("max_refinement", max_refinement, "px", 0, 10,
-          "a match whose position moves further than this when it is refined is dropped");
+  set.add(
+      "max_refinement", max_refinement, "px", 0, 10,
+      "a match whose position moves further than this when it is refined is only used if the others do not suffice");
   set.add("quarter_turns", quarter_turns,
           "when no motion is found, also try the view turned by 90, 180 and 270 degrees about its axis");
   set.add("max_turn", max_turn, "deg", 1, 180, "largest rotation between two views, theta (5.3)");
   set.add("min_used", min_used, "", 4, 1000, "fewer correspondences than this are a failure");
   set.add("huber_px", huber_px, "px", 0, 100, "errors beyond this count linearly in the last minimisation; 0 = off");
+  set.add("max_rms_px", max_rms_px, "px", 0.01, 100, "a motion that leaves larger image errors than this is rejected");
   set.add("max_rotation_error", max_rotation_error, "deg", 0.001, 180,
           "a motion whose rotation is less certain than this (one standard deviation) is rejected");
   set.add("retry_views", retry_views, "", 0, 100, "earlier views that a failed estimate is retried against");
@@ -157,15 +178,19 @@ void ScsOptions::declare(OptionSet& set) {
 
 MotionEstimate estimate_motion(const ViewFeatures& prev, const ViewFeatures& cur, const RectifiedCamera& camera,
                                const ScsOptions& options) {
-  const MotionEstimate first = estimate_turned(prev, cur, 0, camera, options);
-  if (first.status == MotionStatus::ok || first.status == MotionStatus::too_few_corners || !options.quarter_turns) {
-    return first;
+  MotionEstimate result;
+  if (static_cast<int>(std::min(prev.corners.size(), cur.corners.size())) < options.min_used) {
+    result.status = MotionStatus::too_few_corners;
+  } else {
+    result = estimate_turned(prev, cur, 0, camera, options);
+    for (const int turns : {1, 3, 2}) {
+      if (result.status == MotionStatus::ok || !options.quarter_turns) break;
+      const MotionEstimate turned = estimate_turned(prev, cur, turns, camera, options);
+      if (turned.status == MotionStatus::ok) result = turned;
+    }
   }
-  for (const int turns : {1, 3, 2}) {
-    const MotionEstimate turned = estimate_turned(prev, cur, turns, camera, options);
-    if (turned.status == MotionStatus::ok) return turned;
-  }
-  return first;
+  result.corners = static_cast<int>(cur.corners.size());
+  return result;
 }
 
 }  // namespace iris::motion

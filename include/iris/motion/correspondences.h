@@ -12,6 +12,7 @@ struct Correspondence {
   int prev_corner = 0, cur_corner = 0;                   // indices of the corners
   Eigen::Vector3d prev_point = Eigen::Vector3d::Zero();  // [m] in the previous camera
   Eigen::Vector3d cur_point = Eigen::Vector3d::Zero();   // [m] in the current camera
+  double moved = 0;                                      // [px] by how much the current position was refined
 };
 
 // Corner indices (previous, current) that are each other's best match: every patch is compared with every patch by the
@@ -20,7 +21,7 @@ struct Correspondence {
 std::vector<std::pair<int, int>> match_corners(const ViewFeatures& prev, const ViewFeatures& cur, int turns = 0);
 
 // Moves the current position of each match onto the surroundings of the previous corner (Lucas-Kanade) and takes its
-// disparity anew. Matches that move too far or lose their disparity are dropped.
+// disparity anew. Matches that move by more than half a patch or lose their disparity are dropped.
 std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>>& matches, const ViewFeatures& prev,
                                            const ViewFeatures& cur, int turns, const RectifiedCamera& camera,
                                            const ScsOptions& options);

@@ -16,13 +16,15 @@ struct ScsOptions {
   double min_strength = 1.0;   // [(grey levels/px)^4] least Harris response
   double min_disparity = 4.0;  // [px] corners farther away than this have no useful depth
   // Correspondences (5.3.2).
-  double max_refinement = 1.5;  // [px] a match whose refinement moves further is dropped
-  bool quarter_turns = true;    // after a failure, also try the current view turned by 90, 180 and 270 degrees
+  double max_refinement =
+      1.5;                    // [px] matches whose refinement moves further are used only if the others do not suffice
+  bool quarter_turns = true;  // after a failure, also try the current view turned by 90, 180 and 270 degrees
   // Consistency (5.3.3).
   double max_turn = 45.0;  // [deg] largest rotation between the views (theta of 5.3)
   // Result.
   int min_used = 8;                 // fewer correspondences than this are a failure
   double huber_px = 0.3;            // [px] errors beyond this count linearly in the last minimisation; 0 = off
+  double max_rms_px = 0.6;          // [px] image error per coordinate that a good motion does not exceed
   double max_rotation_error = 2.0;  // [deg] an estimate whose rotation is less certain (one sigma) is degenerate
   int retry_views = 5;              // earlier views that a failed estimate is retried against
 

@@ -1,7 +1,6 @@
 #include "export/octree_file.h"
 
 #include <octomap/ColorOcTree.h>
-#include <octomap/OcTree.h>
 
 #include <algorithm>
 #include <array>
@@ -178,21 +177,13 @@ OctreeSummary write_octree(const std::filesystem::path& folder, const views::Vie
   tree.prune();
   write_file(folder / "map.ot", bytes_of(tree));
 
-  // Written as a plain OcTree, which every reader of .bt knows. writeBinary changes a tree, so it gets one of its own.
-  octomap::OcTree binary(options.resolution);
-  for (auto leaf = tree.begin_leafs(), end = tree.end_leafs(); leaf != end; ++leaf) {
-    const int span = 1 << (tree.getTreeDepth() - leaf.getDepth());
-    const octomap::OcTreeKey low = leaf.getIndexKey();
-    for (int i = 0; i < span * span * span; ++i) {
-      const octomap::OcTreeKey key(static_cast<octomap::key_type>(low[0] + i % span),
-                                   static_cast<octomap::key_type>(low[1] + i / span % span),
-                                   static_cast<octomap::key_type>(low[2] + i / (span * span)));
-      binary.setNodeValue(key, leaf->getLogOdds(), true);
-    }
-  }
-  binary.updateInnerOccupancy();
+  // As a plain OcTree, which every reader of .bt knows: the data are the same, only the name in the header differs.
+  tree.toMaxLikelihood();
+  tree.prune();
   std::ostringstream stream;
-  IRIS_CHECK(binary.writeBinary(stream));
+  stream << "# Octomap OcTree binary file\nid OcTree\nsize " << tree.size() << "\nres " << options.resolution
+         << "\ndata\n";
+  tree.writeBinaryData(stream);
   write_file(folder / "map.bt", stream.str());
 
   nlohmann::ordered_json json = {

@@ -13,8 +13,24 @@ namespace iris::mapping {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-// A plane crossed within this distance [m] before a tile's end is the end itself: sums of steps are not exact.
+// A plane crossed within this distance [m] before a tile's end is the end itself: sums of rounded steps are not exact.
 constexpr double kSlack = 1e-9;
+
+// Distances along a ray in fixed point, 2^-40 m; what is farther than 1000 km is never reached.
+constexpr double kOneMetre = 1099511627776.0;
+int64_t fixed(double metres) { return static_cast<int64_t>(std::clamp(metres, -1e6, 1e6) * kOneMetre); }
+
+// All bits or none.
+int64_t mask(bool condition) { return -static_cast<int64_t>(condition); }
+
+// (6.2), written so that it is exact for equal values.
+inline void update(FlogCell& cell, float empty, float occupied, uint32_t max_rays) {
+  const uint32_t count = cell.rays + 1;
+  const float weight = 1 / static_cast<float>(static_cast<int32_t>(count));
+  cell.empty += (empty - cell.empty) * weight;
+  cell.occupied += (occupied - cell.occupied) * weight;
+  cell.rays = std::min(count, max_rays);
+}
 
 // One ray in the coordinates of a box grid: distance along the ray to the next plane of each axis (Amanatides and Woo).
 struct Walk {
@@ -152,45 +168,61 @@ void fuse_rays(const SightRays& rays, std::span<const uint32_t> selection, const
     to -= kSlack;
     if (from >= to) continue;
     const Walk walk = start_walk(start, velocity, from, zero, last);
-    double tx = walk.next.x(), ty = walk.next.y(), tz = walk.next.z(), t = from;
+    // Distances in fixed point and masks instead of branches: which plane comes next cannot be predicted.
+    int64_t tx = fixed(walk.next.x()), ty = fixed(walk.next.y()), tz = fixed(walk.next.z()), t = fixed(from);
+    const int64_t dx = fixed(walk.delta.x()), dy = fixed(walk.delta.y()), dz = fixed(walk.delta.z());
+    const int64_t leave = fixed(to), end = fixed(ray.end), length = fixed(ray.length);
     // Distance along the ray to the foot of the box's middle; a step forward moves it by a constant.
-    double middle =
-        (walk.box.cast<double>() + Eigen::Vector3d::Constant(0.5) - start).cwiseProduct(grid.box).dot(direction);
+    int64_t middle =
+        fixed((walk.box.cast<double>() + Eigen::Vector3d::Constant(0.5) - start).cwiseProduct(grid.box).dot(direction));
     const Eigen::Vector3d move = direction.cwiseProduct(grid.box).cwiseAbs();
-    FlogCell* cell = tile.data() + (static_cast<ptrdiff_t>(walk.box.z()) * n.y() + walk.box.y()) * n.x() + walk.box.x();
-    const ptrdiff_t step_x = walk.sign.x(), step_y = static_cast<ptrdiff_t>(walk.sign.y()) * n.x(),
-                    step_z = static_cast<ptrdiff_t>(walk.sign.z()) * n.x() * n.y();
-    const float inverse_error = 1 / ray.error;
-    for (;;) {
-      const bool x_first = tx < ty;
-      const double t_xy = x_first ? tx : ty;
-      const bool z_first = tz < t_xy;
-      const double t_next = z_first ? tz : t_xy;
-      if (t_next > t) {
-        const double r = std::min(std::max(middle, t), t_next);
-        if (r >= ray.end) break;
-        // (6.1)
-        const float s = (ray.length - static_cast<float>(r)) * inverse_error;
-        const float empty = std::min(std::max(s, 0.0f), 1.0f);
-        const float occupied = std::max(0.0f, 1 - std::abs(s));
-        // (6.2), written so that it is exact for equal values
-        const float weight = 1 / static_cast<float>(cell->rays + 1);
-        cell->empty += (empty - cell->empty) * weight;
-        cell->occupied += (occupied - cell->occupied) * weight;
-        cell->rays = std::min(cell->rays + 1, max_rays);
+    const int64_t move_x = fixed(move.x()), move_y = fixed(move.y()), move_z = fixed(move.z());
+    const int64_t step_x = walk.sign.x(), step_y = static_cast<int64_t>(walk.sign.y()) * n.x(),
+                  step_z = static_cast<int64_t>(walk.sign.z()) * n.x() * n.y();
+    int64_t at = (static_cast<int64_t>(walk.box.z()) * n.y() + walk.box.y()) * n.x() + walk.box.x();
+    const float scale = static_cast<float>(1 / kOneMetre) / ray.error;
+    const int64_t free_to = fixed(static_cast<double>(ray.length) - static_cast<double>(ray.error));
+    for (bool on = true; on;) {  // one turn for each layer of boxes: rays cross few layers and many columns
+      const int64_t layer_end = std::min(tz, leave);
+      // The empty part of the ray needs no memberships: muE = 1, muO = 0.
+      const int64_t empty_end = std::min(layer_end, free_to);
+      int64_t next = std::min(tx, ty);
+      while (next < empty_end) {
+        if (next > t) update(tile[static_cast<size_t>(at)], 1, 0, max_rays);
+        t = next;
+        const int64_t is_x = mask(tx < ty), is_y = ~is_x;
+        at += (step_x & is_x) + (step_y & is_y);
+        middle += (move_x & is_x) + (move_y & is_y);
+        tx += dx & is_x;
+        ty += dy & is_y;
+        next = std::min(tx, ty);
       }
-      if (t_next >= to) break;
-      t = t_next;
-      if (z_first) {
-        cell += step_z;
-        middle += move.z();
-        tz += walk.delta.z();
-      } else {
-        cell += x_first ? step_x : step_y;
-        middle += x_first ? move.x() : move.y();
-        tx += x_first ? walk.delta.x() : 0.0;
-        ty += x_first ? 0.0 : walk.delta.y();
+      for (;;) {
+        const int64_t out = std::min(next, tz);  // of the box, also where the ray ends inside it
+        if (out > t) {
+          const int64_t r = std::min(std::max(middle, t), out);
+          if (r >= end) {
+            on = false;
+            break;
+          }
+          // (6.1)
+          const float s = static_cast<float>(length - r) * scale;
+          update(tile[static_cast<size_t>(at)], std::min(std::max(s, 0.0f), 1.0f), std::max(0.0f, 1 - std::abs(s)),
+                 max_rays);
+        }
+        t = out;
+        if (next >= layer_end) break;
+        const int64_t is_x = mask(tx < ty), is_y = ~is_x;
+        at += (step_x & is_x) + (step_y & is_y);
+        middle += (move_x & is_x) + (move_y & is_y);
+        tx += dx & is_x;
+        ty += dy & is_y;
+        next = std::min(tx, ty);
       }
+      if (tz >= leave) break;
+      at += step_z;
+      middle += move_z;
+      tz += dz;
     }
   }
 }

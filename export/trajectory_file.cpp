@@ -103,7 +103,13 @@ void write_kitti(const fs::path& path, const PoseGraph& graph, int frames_in_ses
     IRIS_CHECK(node.frame_idx >= 0 && node.frame_idx < frames_in_session);
     if (node.submap == main) node_of_frame[static_cast<size_t>(node.frame_idx)] = &node;
   }
-  const PoseNode* first = submaps.empty() ? nullptr : submaps.at(main).front();
+  Pose first_from_world = Pose::Identity();
+  int first_frame = -1;
+  if (!submaps.empty()) {
+    const PoseNode& first = *submaps.at(main).front();
+    first_from_world = first.world_from_cam.inverse();
+    first_frame = first.frame_idx;
+  }
   std::string text;
   for (const PoseNode* node : node_of_frame) {
     if (!node) {
@@ -112,7 +118,7 @@ void write_kitti(const fs::path& path, const PoseGraph& graph, int frames_in_ses
     }
     // The identity of the first frame without rounding errors.
     const Pose first_from_cam =
-        node == first ? Pose::Identity() : Pose(first->world_from_cam.inverse() * node->world_from_cam);
+        node->frame_idx == first_frame ? Pose::Identity() : Pose(first_from_world * node->world_from_cam);
     for (int row = 0; row < 3; ++row) {
       for (int column = 0; column < 4; ++column) {
         append_number(text, first_from_cam(row, column));

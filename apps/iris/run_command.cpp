@@ -39,7 +39,7 @@ int run(Run& run) {
   const fs::path out = run.out;
   const auto session = session::open_session(run.session, arguments.options.library.session);
   auto workspace = workspace::Workspace::create(out, fs::absolute(session->folder()).lexically_normal().string(),
-                                                fingerprint(session->fingerprint_text()));
+                                                session->identity());
   log_to_file(out / "log.txt");
   spdlog::info("{}: {}, {} stereo frames", session->folder().string(), session->kind(), session->size());
   for (const std::string& note : session->notes()) spdlog::warn("{}", note);

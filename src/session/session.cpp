@@ -419,6 +419,8 @@ class ImageSession : public Session {
     folder_ = folder;
     notes_ = std::move(notes);
     const std::vector<RecordedFrame> all = pair_up(layout, folder, options, notes_);
+    const fs::path& first = all.front().left;
+    identity_ = fmt::format("{} {} {}", kind_, first.filename().string(), fs::file_size(first));
     for (const int index : selected_frames(static_cast<int>(all.size()), options, folder)) {
       frames_.push_back(all[static_cast<size_t>(index)]);
     }

@@ -100,6 +100,7 @@ class VideoSession : public Session {
                const StereoCalibration& calibration, const SessionOptions& options)
       : left_(std::make_unique<VideoStream>(left)) {
     folder_ = folder;
+    identity_ = fmt::format("video {} {}", left.filename().string(), fs::file_size(left));
     calibration_ = calibration;
     note_unit(calibration_, notes_);
     int count = left_->count();

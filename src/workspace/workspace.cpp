@@ -205,7 +205,7 @@ Workspace& Workspace::operator=(Workspace&&) noexcept = default;
 Workspace::~Workspace() = default;
 
 Workspace Workspace::create(const fs::path& folder, const std::string& session_folder,
-                            const std::string& session_fingerprint) {
+                            const std::string& session_identity) {
   std::error_code error;
   fs::create_directories(folder, error);
   if (error) {
@@ -227,14 +227,14 @@ Workspace Workspace::create(const fs::path& folder, const std::string& session_f
     if (schema && *schema != std::to_string(kSchema)) {
       throw InputError(folder, "was written by another version of iris", "choose another folder with -o");
     }
-    const auto owner = impl->text("about", "session_fingerprint");
-    if (owner && *owner != session_fingerprint) {
+    const auto owner = impl->text("about", "session_identity");
+    if (owner && *owner != session_identity) {
       throw InputError(
           folder, "holds the output of another session (" + impl->text("about", "session_folder").value_or("?") + ")",
           "choose another folder with -o, or delete this one");
     }
     impl->set_text("about", "schema", std::to_string(kSchema));
-    impl->set_text("about", "session_fingerprint", session_fingerprint);
+    impl->set_text("about", "session_identity", session_identity);
     impl->set_text("about", "session_folder", session_folder);
     transaction.commit();
   }

@@ -172,6 +172,17 @@ TEST_F(Cli, ARemovedProductIsMadeAgain) {
   expect_equal_products(reference(), out);
 }
 
+TEST_F(Cli, AChangedCalibrationRedoesEverythingInTheSameFolder) {
+  const fs::path changed = copied("recalibrated"), out = fresh("recalibrated_out");
+  fs::copy(reference(), out, fs::copy_options::recursive);
+  std::string calibration = read_file(changed / "calibration.yaml");
+  const size_t at = calibration.find("-0.1, 0., 0.");
+  ASSERT_NE(at, std::string::npos);
+  write_file(changed / "calibration.yaml", calibration.replace(at, 4, "-0.2"));
+  ASSERT_EQ(run_program(run_arguments(changed, out)).exit_code, 0);
+  EXPECT_NE(read_file(out / "trajectory/tum.txt"), read_file(reference() / "trajectory/tum.txt"));
+}
+
 TEST_F(Cli, ATruncatedImageCostsItsFrameOnly) {
   const fs::path damaged = copied("truncated"), out = fresh("truncated_out");
   fs::resize_file(damaged / "left/000005.png", fs::file_size(damaged / "left/000005.png") / 2);
@@ -259,8 +270,8 @@ TEST_F(Cli, BadInputIsExitCode3AndNamesFileProblemAndRemedy) {
 
   // The output of another session.
   const fs::path other = copied("other");
-  fs::remove(other / "left/000013.png");
-  fs::remove(other / "right/000013.png");
+  fs::remove(other / "left/000000.png");
+  fs::remove(other / "right/000000.png");
   expect(other, reference(), {"another session"});
   // A folder that cannot be made, and one that holds something else.
   expect(session(), session() / "calibration.yaml/out", {"calibration.yaml"});

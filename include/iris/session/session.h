@@ -52,6 +52,9 @@ class Session {
   // Identifies the input wherever it lies: names, sizes and stamps of the files, and the calibration's values.
   virtual std::string fingerprint_text() const = 0;
 
+  // Tells recordings apart whatever the options and the calibration: kind, name and size of the first recorded file.
+  const std::string& identity() const { return identity_; }
+
   const StereoCalibration& calibration() const { return calibration_; }
   const std::filesystem::path& folder() const { return folder_; }  // or the video file
 
@@ -62,6 +65,7 @@ class Session {
   StereoCalibration calibration_;
   std::filesystem::path folder_;
   std::vector<std::string> notes_;
+  std::string identity_;
 };
 
 // Opens a recording; the first frame is read and compared with the calibration. Understood are

@@ -43,7 +43,7 @@ class Workspace {
   // Opens or creates the workspace in `folder` for a session. Throws InputError if the folder holds something else, the
   // output of another session, is in use by another run, or cannot be written.
   static Workspace create(const std::filesystem::path& folder, const std::string& session_folder,
-                          const std::string& session_fingerprint);
+                          const std::string& session_identity);
   // Opens the finished or partial output of an earlier run. Throws InputError if there is none.
   static Workspace open(const std::filesystem::path& folder);
 

@@ -31,12 +31,12 @@ struct OctreeSummary {
 //   octree.json  what the formats cannot say: frame, units, options, counts
 // World frame [m], z up.
 //
-// Membership to log-odds: a cube is unknown (no node) if fewer than min_rays crossed it or if it is more indeterminate
-// than anything else, I = min(1 - E, 1 - O) > 1/2 (6.4), and no surface in it either, O < 0.35. Otherwise the
-// probability of occupancy is p = 1/2 + (s - 1/2) c with s = O / (E + O) stretched so that O = 0.35, E = 0.65 lies at
-// 1/2, and c = N / (N + 4) for the N rays of the cube: few rays say little. p is clamped to OctoMap's 0.1192 … 0.971,
-// and log(p / (1-p)) is rounded to steps of 1/8, so that large empty space can be pruned.
-// The files are the same, byte for byte, for any number of threads.
+// Membership to log-odds: a cube is occupied if O >= 0.35. It is unknown (no node) if fewer than min_rays crossed it,
+// or if it is not occupied and more indeterminate than anything else, I = min(1 - E, 1 - O) > 1/2 (6.4). All others are
+// free. The probability of occupancy is p = 1/2 + (s - 1/2) c, with O / (E + O) stretched to s so that 0.35 becomes
+// 1/2, and c = N / (N + 4) for the N rays of the cube: few rays say little. p is clamped to OctoMap's 0.1192 ... 0.971;
+// log(p / (1-p)) is rounded to steps of 1/8, so that large empty space can be pruned, and is at least one step away
+// from undecided. The files are the same, byte for byte, for any number of threads.
 OctreeSummary write_octree(const std::filesystem::path& folder, const views::ViewStore& views,
                            const OctreeOptions& options);
 

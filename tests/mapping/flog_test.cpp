@@ -88,6 +88,31 @@ TEST(FlogBuilder, MapsTheWallsOfARoomWithinACellAndItsInsideAsFree) {
   }
 }
 
+// Here e of (6.1) is 0.4 cm, a fraction of a cell.
+TEST(FlogBuilder, SurfacesMeasuredFinerThanACellStayInTheMap) {
+  const RectifiedCamera fine{.f = 440, .cx = 319.5, .cy = 239.5, .baseline = 0.6, .width = 640, .height = 480};
+  BoxRoom room;
+  room.high.x() = 1.54;  // 1.5 cm behind the middle of its cells
+  FlogOptions options;
+  options.ray_step = 2;
+  const auto occupied_on_wall = [&](double min_spread) {
+    options.min_spread = min_spread;
+    FlogBuilder builder(options, fine);
+    builder.add(view_of(room, fine, level_camera({0, 0, 0}, 0)));
+    const MapRaster raster = rasterise(builder.map(), options);
+    int count = 0;
+    for (int y = 0; y < raster.height; ++y) {
+      for (int x = 0; x < raster.width; ++x) {
+        if (std::abs(raster.x_of(x) - room.high.x()) > 0.5 * options.cell || std::abs(raster.y_of(y)) > 0.8) continue;
+        count += raster.state(y, x) == static_cast<uint8_t>(MapState::occupied);
+      }
+    }
+    return count;
+  };
+  EXPECT_EQ(occupied_on_wall(1), 32);  // 1.6 m of 5 cm cells
+  EXPECT_LT(occupied_on_wall(0), 24);
+}
+
 TEST(FlogBuilder, GivesTheSameBitsForAnyNumberOfThreads) {
   const BoxRoom room;
   const auto views = walk_around(room, 0.1);

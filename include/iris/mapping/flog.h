@@ -19,9 +19,10 @@ struct FlogOptions {
   double height = 2.1;    // [m] of all layers together (6.4.2)
   double min_disparity = 4;  // [px] rays of smaller disparities are followed to the distance of this one only (6.3.3)
   double pixel_error = 0.1;  // [px] error of image coordinates, dp of (4.24)
-  double min_spread = 1;     // [cells] lower bound of e of (6.1), in which a cell's width is no part. 0 = the thesis. A
-                             // triangle narrower than a cell falls between the middles of the cells, and a surface
-                             // measured well would vanish from the map
+  double min_spread = 1;     // [cells] lower bound of e of (6.1), which knows nothing of the size of cells; 0 = the
+                             // thesis. A triangle narrower than a cell falls between the middles of the cells: with
+                             // f = 440 px, 0.4 m baseline and walls at 1 to 3 m, 46 of 298 wall cells remain with
+                             // 0, 243 with 0.5, all with 1
   double max_range = 20;     // [m] rays are cut here; what lies beyond is left unknown
   int ray_step = 1;          // [px] every n-th row and column gives rays (the thesis uses every second row)
   double min_move = 4;       // [cells] a view that moved less since the last added one …

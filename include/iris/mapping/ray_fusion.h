@@ -58,7 +58,9 @@ TileRays sort_by_tile(const SightRays& rays, const TiledGrid& grid);
 // Updates the boxes of one tile ([z][y][x]) with the rays of `selection`, one after the other: (6.1) and (6.2).
 // A ray updates each box that it crosses once. r is the distance of the point that is nearest to the box's middle among
 // the points of the ray inside the box: a point outside would say where the surface is in a neighbour (layers are much
-// higher than cells are wide, and a tilted ray passes the middle's height far from the box).
+// higher than cells are wide, and a tilted ray passes the middle's height far from the box). In a rendered room that
+// leaves 107 occupied cells beside the 298 of the walls, instead of 361. The tile's floats depend on the order of the
+// rays in the last bits, and beyond Nt rays altogether: keep it.
 void fuse_rays(const SightRays& rays, std::span<const uint32_t> selection, const TiledGrid& grid,
                const Eigen::Vector3i& tile_index, uint32_t max_rays, std::span<FlogCell> tile);
 

@@ -8,7 +8,7 @@
 namespace iris {
 
 // State of one cell of the fuzzy layered occupancy grid (thesis 6.3).
-// Floats, because N of (6.2) reaches tens of thousands (5 cm x 70 cm cells, f = 436 px: 3 NK = 19 962): an update then
+// Floats, because N of (6.2) reaches tens of thousands (5 cm x 70 cm cells, f = 436 px: 3 NK = 19 983): an update then
 // moves a membership by less than 1/20 000, and 16 bits stop moving as soon as it is within 0.15 of the measurement.
 struct FlogCell {
   float empty = 0;     // muE in [0, 1]

@@ -38,7 +38,8 @@ class Database {
     const std::string message = sqlite3_errmsg(handle_);
     const char* remedy = "check the folder and its permissions, or choose another with -o";
     if (code == SQLITE_FULL || code == SQLITE_IOERR) {
-      remedy = "see that the disk is sound and has free space, then run the same command again: it goes on where it stopped";
+      remedy =
+          "see that the disk is sound and has free space, then run the same command again: it goes on where it stopped";
     }
     if (code == SQLITE_NOTADB || code == SQLITE_CORRUPT)
       remedy = "it is damaged; delete the output folder and run again";

@@ -14,8 +14,8 @@ struct RectifiedCamera {
   double baseline = 0;          // [m] > 0
   double disparity_offset = 0;  // [px] x of the right principal point minus cx (Middlebury's doffs): added to a
                                 // measured disparity before it is converted to depth
-  int width = 0;   // [px]
-  int height = 0;  // [px]
+  int width = 0;                // [px]
+  int height = 0;               // [px]
 
   // Point in the left camera frame [m] of image point (x, y) [px] with measured disparity (4.3).
   // Infinite if disparity + disparity_offset is 0.

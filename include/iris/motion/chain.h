@@ -34,8 +34,8 @@ class MotionChain {
   void restore(std::vector<Restored> last_views, int submaps);
 
   // The pose of the next view. Its motion is estimated against the previous view and, if that fails, against up to
-  // retry_views earlier ones, most recent first. They may belong to an earlier sub-map: a few spoilt views (blur, a hand
-  // before the lens) become a sub-map of their own and the path goes on behind them.
+  // retry_views earlier ones, most recent first. They may belong to an earlier sub-map: a few spoilt views (blur, a
+  // hand before the lens) become a sub-map of their own and the path goes on behind them.
   ChainStep push(ViewFeatures features, int frame_idx);
 
  private:

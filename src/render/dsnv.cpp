@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <numbers>
+#include <opencv2/imgproc.hpp>
 
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
@@ -14,7 +15,8 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-constexpr int kTile = 8;            // [px] side of the square of rays that share one search for free space
+constexpr int kTile = 8;  // [px] side of the square of rays that share one search for free space
+constexpr size_t kMostSources = 32;
 constexpr double kBeyond = 1e30;    // [m]
 constexpr double kRangeMargin = 1;  // [px] a ray is walked from and to this far outside the source's disparity range
 constexpr double kSmallestDisparity = 0.01;  // [px] everything beyond is at infinity
@@ -27,6 +29,7 @@ struct Source {
   double distance;          // |T| [m]
   // Depths [m] at which the disparity range with its margin begins and ends.
   double nearest, farthest;
+  float focal_baseline;  // f t [px m]
 };
 
 struct DepthRange {
@@ -79,79 +82,90 @@ Meeting between(const Sample& a, const Sample& b, float max_step) {
   return Meeting::nothing;
 }
 
-RayHit walk(const PreparedSource& source, const DepthRange& range, const Vector3d& q, const Vector3d& t, double from,
-            float max_step) {
-  const RectifiedCamera& camera = source.view().camera;
-  const cv::Mat1f& disparity = source.disparity();
-  const double last_x = disparity.cols - 1, last_y = disparity.rows - 1;
+// The part of a ray that is walked.
+struct Stretch {
+  double from = 0, to = kBeyond;  // s of (7.2); empty if from >= to
+  bool in_image = false;          // all of it lies in the image and in front of the source: it needs no clipping
+};
 
-  // The part of the ray that the source can see. Depth and the sides of the image are linear in s when multiplied by
-  // the depth (which is positive), so that neither the epipole (7.8) nor a ray parallel to the image plane is special.
-  double s0 = from, s1 = kBeyond;
+// Cuts a stretch to what the source can see. Depth and the sides of the image are linear in s when multiplied by the
+// depth (which is positive), so that neither the epipole (7.8) nor a ray parallel to the image plane is special.
+Stretch clip(const PreparedSource& source, const DepthRange& range, const Vector3d& q, const Vector3d& t,
+             Stretch part) {
+  const RectifiedCamera& camera = source.view().camera;
+  const double last_x = source.disparity().cols - 1, last_y = source.disparity().rows - 1;
   const auto keep_where_positive = [&](double slope, double value_at_0) {
-    if (slope * s0 + value_at_0 < 0) {
-      s0 = slope > 0 ? -value_at_0 / slope : kBeyond;
-    } else if (slope * s1 + value_at_0 < 0) {
-      s1 = -value_at_0 / slope;
+    if (slope * part.from + value_at_0 < 0) {
+      part.from = slope > 0 ? -value_at_0 / slope : kBeyond;
+    } else if (slope * part.to + value_at_0 < 0) {
+      part.to = -value_at_0 / slope;
     }
   };
   keep_where_positive(q.z(), t.z() - range.nearest);
   keep_where_positive(-q.z(), range.farthest - t.z());
-  if (s0 >= s1) return {};
+  if (part.from >= part.to) return part;
   const double qx = camera.f * q.x() + camera.cx * q.z(), tx = camera.f * t.x() + camera.cx * t.z();
   const double qy = camera.f * q.y() + camera.cy * q.z(), ty = camera.f * t.y() + camera.cy * t.z();
   keep_where_positive(qx, tx);
   keep_where_positive(last_x * q.z() - qx, last_x * t.z() - tx);
-  if (s0 >= s1) return {};
+  if (part.from >= part.to) return part;
   keep_where_positive(qy, ty);
   keep_where_positive(last_y * q.z() - qy, last_y * t.z() - ty);
-  if (s0 >= s1) return {};
+  return part;
+}
 
-  // Its ends in disparity space, where it is a straight line (7.4).
-  const double w0 = 1 / (s0 * q.z() + t.z()), w1 = 1 / (s1 * q.z() + t.z());
-  const double ft = camera.f * camera.baseline;
-  const double x0 = std::clamp((s0 * qx + tx) * w0, 0.0, last_x), x1 = std::clamp((s1 * qx + tx) * w1, 0.0, last_x);
-  const double y0 = std::clamp((s0 * qy + ty) * w0, 0.0, last_y), y1 = std::clamp((s1 * qy + ty) * w1, 0.0, last_y);
-  const double d0 = ft * w0 - camera.disparity_offset, d1 = ft * w1 - camera.disparity_offset;
+// A stretch of a ray in disparity space, where it is straight (7.4): image coordinates and the image's disparity, all
+// [px].
+struct Line {
+  float x0, y0, d0, x1, y1, d1;
+};
 
-  const auto meet = [&](Meeting meeting, double x, double y, double d) {
-    const Vector3d p = camera.point(x, y, d);
-    return RayHit{.meeting = meeting,
-                  .x = static_cast<float>(x),
-                  .y = static_cast<float>(y),
-                  .disparity = static_cast<float>(d),
-                  .along = static_cast<float>(q.dot(p - t) / q.squaredNorm())};
+Line line_of(const PreparedSource& source, const Vector3d& q, const Vector3d& t, double from, double to) {
+  const RectifiedCamera& camera = source.view().camera;
+  const double last_x = source.disparity().cols - 1, last_y = source.disparity().rows - 1;
+  const double w0 = camera.f / (from * q.z() + t.z()), w1 = camera.f / (to * q.z() + t.z());
+  const auto within = [](double value, double last) {
+    return static_cast<float>(std::min(std::max(value, 0.0), last));
   };
+  return {.x0 = within((from * q.x() + t.x()) * w0 + camera.cx, last_x),
+          .y0 = within((from * q.y() + t.y()) * w0 + camera.cy, last_y),
+          .d0 = static_cast<float>(camera.baseline * w0 - camera.disparity_offset),
+          .x1 = within((to * q.x() + t.x()) * w1 + camera.cx, last_x),
+          .y1 = within((to * q.y() + t.y()) * w1 + camera.cy, last_y),
+          .d1 = static_cast<float>(camera.baseline * w1 - camera.disparity_offset)};
+}
 
-  const double dx = x1 - x0, dy = y1 - y0;
-  const double length = std::max(std::abs(dx), std::abs(dy));
+// Where on a line the surface is met; `along` is left to the caller.
+RayHit walk(const cv::Mat1f& disparity, const Line& line, float max_step) {
+  const float dx = line.x1 - line.x0, dy = line.y1 - line.y0, dd = line.d1 - line.d0;
+  const float length = std::max(std::abs(dx), std::abs(dy));
   if (length < 1) {  // (7.6): a ray through the source's optical centre is a point in the image
-    const float image0 = inside(disparity, static_cast<float>(x0), static_cast<float>(y0), max_step);
-    const float image1 = inside(disparity, static_cast<float>(x1), static_cast<float>(y1), max_step);
-    const Sample a{static_cast<float>(d0) - image0, image0}, b{static_cast<float>(d1) - image1, image1};
+    const float image0 = inside(disparity, line.x0, line.y0, max_step);
+    const float image1 = inside(disparity, line.x1, line.y1, max_step);
+    const Sample a{line.d0 - image0, image0}, b{line.d1 - image1, image1};
     const Meeting meeting = between(a, b, max_step);
     if (meeting == Meeting::nothing) return {};
-    const double v = a.delta / (a.delta - b.delta);  // (7.9)
-    return meet(meeting, x0 + v * dx, y0 + v * dy, d0 + v * (d1 - d0));
+    const float v = a.delta / (a.delta - b.delta);  // (7.9)
+    return {.meeting = meeting, .x = line.x0 + v * dx, .y = line.y0 + v * dy, .disparity = line.d0 + v * dd};
   }
 
-  // Pixel by pixel along the longer axis (7.5), one pixel beyond both ends where the image goes on.
+  // Pixel by pixel along the longer axis (7.5), to the next whole pixel beyond both ends.
   const bool by_x = std::abs(dx) >= std::abs(dy);
-  const double major0 = by_x ? x0 : y0, minor0 = by_x ? y0 : x0;
-  const double slope_minor = by_x ? dy / dx : dx / dy, slope_d = (d1 - d0) / (by_x ? dx : dy);
-  const int direction = (by_x ? dx : dy) > 0 ? 1 : -1;
-  const double major1 = by_x ? x1 : y1;
+  const float major0 = by_x ? line.x0 : line.y0, minor0 = by_x ? line.y0 : line.x0;
+  const float major1 = by_x ? line.x1 : line.y1;
+  const float per_pixel = 1 / length;
+  const float minor_step = (by_x ? dy : dx) * per_pixel, d_step = dd * per_pixel;
+  const int direction = major1 > major0 ? 1 : -1;
   const int first = static_cast<int>(direction > 0 ? std::floor(major0) : std::ceil(major0));
   const int last = static_cast<int>(direction > 0 ? std::ceil(major1) : std::floor(major1));
   const int steps = (last - first) * direction;
+  const float before =
+      (major0 - static_cast<float>(first)) * static_cast<float>(direction);  // [px] first pixel to the line's begin
   const ptrdiff_t row = static_cast<ptrdiff_t>(disparity.step1());
   const ptrdiff_t major_stride = by_x ? 1 : row, minor_stride = by_x ? row : 1;
   const int minor_count = by_x ? disparity.rows : disparity.cols;
   const float minor_last = static_cast<float>(minor_count - 1);
-  const float minor_first = static_cast<float>(minor0 + (first - major0) * slope_minor);
-  const float d_first = static_cast<float>(d0 + (first - major0) * slope_d);
-  const float minor_step = static_cast<float>(slope_minor * direction),
-              d_step = static_cast<float>(slope_d * direction);
+  const float minor_first = minor0 - before * minor_step, d_first = line.d0 - before * d_step;
   const float* start = disparity[0] + first * major_stride;
   const ptrdiff_t advance = direction * major_stride;
 
@@ -160,93 +174,169 @@ RayHit walk(const PreparedSource& source, const DepthRange& range, const Vector3
     const float image = on_line(start + i * advance, minor_stride, minor_count, minor, max_step);
     return Sample{d_first + static_cast<float>(i) * d_step - image, image};
   };
-
   // The nearest pixel tells in most cases that the ray stays in front (or behind): the surface between connected pixels
   // is at most half a step away from it. Only near the surface, or when the side changes, the surface itself is looked
-  // up.
-  const float clear = 0.5f * max_step;
-  int side = 0, known = -2;
-  Sample previous;
-  for (int i = 0; i <= steps; ++i) {
-    const float minor = std::clamp(minor_first + static_cast<float>(i) * minor_step, 0.0f, minor_last);
-    const float rough = d_first + static_cast<float>(i) * d_step -
-                        start[i * advance + static_cast<ptrdiff_t>(static_cast<int>(minor + 0.5f)) * minor_stride];
-    const int side_here = (rough > clear) - (rough < -clear);
-    if (side_here != 0 && side_here == side) continue;
-    if (known != i - 1 && i > 0) previous = exact(i - 1);
+  // up. The nearest pixel's coordinate runs in fixed point; a thousand steps of rounding are below 0.01 px.
+  constexpr int kFractionBits = 16;
+  const float clear = 0.55f * max_step;
+  const int32_t fixed_first = static_cast<int32_t>((minor_first + 0.5f) * (1 << kFractionBits));
+  const int32_t fixed_step = static_cast<int32_t>(std::lrint(minor_step * (1 << kFractionBits)));
+  // First i in [from, steps] at which sign * delta is not clearly positive.
+  const auto skip_clear = [&](int from, float sign) {
+    int32_t fixed = fixed_first + from * fixed_step;
+    const float* pixel = start + from * advance;
+    float d = sign * (d_first + static_cast<float>(from) * d_step) - clear;
+    const float step = sign * d_step;
+    while (from < steps && d > sign * pixel[(fixed >> kFractionBits) * minor_stride]) {
+      ++from;
+      fixed += fixed_step;
+      pixel += advance;
+      d += step;
+    }
+    return from;
+  };
+
+  Sample previous = exact(0);
+  for (int i = 1; i <= steps; ++i) {
+    if (std::abs(previous.delta) > clear) {
+      const int next = skip_clear(i, previous.delta > 0 ? 1.0f : -1.0f);
+      if (next > i) previous = exact(next - 1), i = next;
+    }
     const Sample here = exact(i);
-    if (i > 0) {
-      const Meeting meeting = between(previous, here, max_step);
-      if (meeting != Meeting::nothing) {
-        const double v = previous.delta / (previous.delta - here.delta);  // (7.9)
-        const double major = first + direction * (i - 1 + v);
-        const double travelled = (major - major0) * direction;
-        if (travelled >= -1e-3 && travelled <= length + 1e-3) {
-          const double minor_v = minor0 + (major - major0) * slope_minor, d_v = d0 + (major - major0) * slope_d;
-          return by_x ? meet(meeting, major, minor_v, d_v) : meet(meeting, minor_v, major, d_v);
-        }
+    const Meeting meeting = between(previous, here, max_step);
+    if (meeting != Meeting::nothing) {
+      const float v = previous.delta / (previous.delta - here.delta);  // (7.9)
+      const float travelled = static_cast<float>(i - 1) + v - before;
+      if (travelled >= -1e-3f && travelled <= length + 1e-3f) {
+        const float major = major0 + static_cast<float>(direction) * travelled, minor = minor0 + travelled * minor_step;
+        return {.meeting = meeting,
+                .x = by_x ? major : minor,
+                .y = by_x ? minor : major,
+                .disparity = line.d0 + travelled * d_step};
       }
     }
-    side = side_here;
     previous = here;
-    known = i;
   }
   return {};
 }
 
-// How far all rays of a tile run through space that the source knows to be free (or does not see): they are walked from
-// there. The rays of the tile lie between its four corner rays. Returns kBeyond if they meet nothing at all.
-double free_until(const Source& source, const std::array<Vector3d, 4>& corner_rays) {
+// s of a point of the source image with its disparity.
+float along_ray(const PreparedSource& source, const Vector3d& q, const Vector3d& t, const RayHit& hit) {
+  const RectifiedCamera& camera = source.view().camera;
+  if (q.z() * q.z() > 0.1 * q.squaredNorm()) {
+    const double depth = camera.f * camera.baseline / (hit.disparity + camera.disparity_offset);
+    return static_cast<float>((depth - t.z()) / q.z());
+  }
+  // Nearly parallel to the image plane: the depth says little about s.
+  return static_cast<float>(q.dot(camera.point(hit.x, hit.y, hit.disparity) - t) / q.squaredNorm());
+}
+
+RayHit walk(const PreparedSource& source, const DepthRange& range, const Vector3d& q, const Vector3d& t, Stretch part,
+            float max_step) {
+  if (!part.in_image) part = clip(source, range, q, t, part);
+  if (part.from >= part.to) return {};
+  RayHit hit = walk(source.disparity(), line_of(source, q, t, part.from, part.to), max_step);
+  if (hit.meeting != Meeting::nothing) hit.along = along_ray(source, q, t, hit);
+  return hit;
+}
+
+// The stretch in which the rays of a tile can meet a surface of the source: before it all of them run through space
+// that the source knows to be free (or does not see), after it behind everything it sees. The rays of the tile lie
+// between its four corner rays.
+Stretch tile_stretch(const Source& source, const std::array<Vector3d, 4>& corner_rays) {
+  constexpr Stretch kNothing{.from = kBeyond, .to = 0};
+  constexpr double kLongest = 64, kFirst = 16, kShortest = 2;  // [px] lengths of the pieces that are judged at once
   const PreparedSource& prepared = *source.prepared;
   const RectifiedCamera& camera = prepared.view().camera;
+  const int width = prepared.disparity().cols, height = prepared.disparity().rows;
   const Vector3d& t = source.novel_in_cam;
   double low_qz = corner_rays[0].z(), high_qz = low_qz;
   for (const Vector3d& q : corner_rays) low_qz = std::min(low_qz, q.z()), high_qz = std::max(high_qz, q.z());
-  if (high_qz <= 0 && t.z() < source.nearest) return kBeyond;
-  if (low_qz <= 1e-6) return 0;  // rays that turn away from the source: rare, walked from their beginning
+  if (high_qz <= 0 && t.z() < source.nearest) return kNothing;
+  if (low_qz <= 1e-6) return {};  // rays that turn away from the source: rare, walked as a whole
 
-  double s = t.z() < source.nearest ? (source.nearest - t.z()) / high_qz : 0;
-  const double s_end = (source.farthest - t.z()) / low_qz;
-  if (s_end <= 0) return kBeyond;
+  Stretch part;
+  part.from = t.z() < source.nearest ? (source.nearest - t.z()) / high_qz : 0;
+  part.to = (source.farthest - t.z()) / low_qz;
+  if (part.from >= part.to) return kNothing;
+  if (part.from * low_qz + t.z() < 0.5 * source.nearest) return part;  // too wide a tile for its corners to bound it
+
   const Vector3d middle = 0.25 * (corner_rays[0] + corner_rays[1] + corner_rays[2] + corner_rays[3]);
   const double ft = camera.f * camera.baseline;
   // Pixels that the middle ray moves in the image for one pixel of disparity: by (7.4), 1/md and my/md.
   const double pixels_per_disparity =
-      std::hypot(middle.x() * t.z() - t.x() * middle.z(), middle.y() * t.z() - t.y() * middle.z()) /
-      (camera.baseline * middle.z());
-  constexpr double kLongest = 16, kShortest = 2;  // [px]
-  double stride = kLongest;
-  while (s < s_end) {
-    if (s * low_qz + t.z() < 0.5 * source.nearest) return s;  // too wide a tile for its corners to bound it
-    const double d_middle = ft / (s * middle.z() + t.z());
-    const double d_next = d_middle - stride / std::max(pixels_per_disparity, 1e-9);
-    double s_next = d_next > kSmallestDisparity ? (ft / d_next - t.z()) / middle.z() : s_end;
-    s_next = std::min(s_next, s_end);
-    double left = kBeyond, right = -kBeyond, top = kBeyond, bottom = -kBeyond;
-    for (const double at : {s, s_next}) {
-      for (const Vector3d& q : corner_rays) {
-        const double w = 1 / (at * q.z() + t.z());
-        const double x = camera.f * (at * q.x() + t.x()) * w, y = camera.f * (at * q.y() + t.y()) * w;
-        left = std::min(left, x), right = std::max(right, x), top = std::min(top, y), bottom = std::max(bottom, y);
+      std::max(1e-9, std::hypot(middle.x() * t.z() - t.x() * middle.z(), middle.y() * t.z() - t.y() * middle.z()) /
+                         (camera.baseline * middle.z()));
+  // s at which the middle ray has moved on by so many pixels (negative: back).
+  const auto moved = [&](double s, double pixels) {
+    const double d = ft / (s * middle.z() + t.z()) - pixels / pixels_per_disparity;
+    return d > kSmallestDisparity ? (ft / d - t.z()) / middle.z() : kBeyond;
+  };
+  struct Corner {
+    double x, y;
+  };
+  const auto project = [&](double s, std::array<Corner, 4>& corners) {
+    for (size_t i = 0; i < 4; ++i) {
+      const Vector3d& q = corner_rays[i];
+      const double w = camera.f / (s * q.z() + t.z());
+      corners[i] = {(s * q.x() + t.x()) * w + camera.cx, (s * q.y() + t.y()) * w + camera.cy};
+    }
+  };
+  // Pixels that can matter between two s, with one more on each side: the surface at a point depends on its neighbours.
+  struct Footprint {
+    int x0, y0, x1, y1;
+    bool cut;  // part of it lies outside the image
+    bool empty() const { return x0 > x1 || y0 > y1; }
+  };
+  const auto footprint = [&](const std::array<Corner, 4>& a, const std::array<Corner, 4>& b) {
+    double left = a[0].x, right = left, top = a[0].y, bottom = top;
+    for (const auto* corners : {&a, &b}) {
+      for (const Corner& corner : *corners) {
+        left = std::min(left, corner.x), right = std::max(right, corner.x);
+        top = std::min(top, corner.y), bottom = std::max(bottom, corner.y);
       }
     }
-    // One pixel more on each side: the surface at a point depends on its neighbours.
-    const int width = prepared.disparity().cols, height = prepared.disparity().rows;
-    const int x0 = static_cast<int>(std::clamp(std::floor(left + camera.cx) - 1, 0.0, double(width)));
-    const int x1 = static_cast<int>(std::clamp(std::ceil(right + camera.cx) + 1, -1.0, width - 1.0));
-    const int y0 = static_cast<int>(std::clamp(std::floor(top + camera.cy) - 1, 0.0, double(height)));
-    const int y1 = static_cast<int>(std::clamp(std::ceil(bottom + camera.cy) + 1, -1.0, height - 1.0));
-    const double d_lowest = ft / (s_next * high_qz + t.z()) - camera.disparity_offset;
-    const bool is_free = x0 > x1 || y0 > y1 || prepared.max_in(x0, y0, x1, y1) < d_lowest - 1e-3;
-    if (is_free) {
-      s = s_next;
+    return Footprint{.x0 = static_cast<int>(std::clamp(left - 1, 0.0, double(width))),
+                     .y0 = static_cast<int>(std::clamp(top - 1, 0.0, double(height))),
+                     .x1 = static_cast<int>(std::clamp(right + 2, -1.0, width - 1.0)),
+                     .y1 = static_cast<int>(std::clamp(bottom + 2, -1.0, height - 1.0)),
+                     .cut = left < 0 || top < 0 || right > width - 1 || bottom > height - 1};
+  };
+
+  std::array<Corner, 4> here, next;
+  project(part.from, here);
+  for (double stride = kFirst; stride >= kShortest;) {
+    const double s = std::min(moved(part.from, stride), part.to);
+    project(s, next);
+    const Footprint area = footprint(here, next);
+    const double lowest = ft / (s * high_qz + t.z()) - camera.disparity_offset;
+    if (area.empty() || prepared.max_in(area.x0, area.y0, area.x1, area.y1) < lowest - 1e-3) {
+      if (s >= part.to) return kNothing;
+      part.from = s;
+      here = next;
       stride = std::min(2 * stride, kLongest);
     } else {
       stride *= 0.5;
-      if (stride < kShortest) return s;
     }
   }
-  return kBeyond;
+  const std::array<Corner, 4> begin = here;
+  project(part.to, here);
+  for (double stride = kFirst; stride >= kShortest;) {
+    const double s = std::max(moved(part.to, -stride), part.from);
+    project(s, next);
+    const Footprint area = footprint(next, here);
+    const double highest = ft / (s * low_qz + t.z()) - camera.disparity_offset;
+    if (area.empty() || prepared.min_in(area.x0, area.y0, area.x1, area.y1) > highest + 1e-3) {
+      if (s <= part.from) return kNothing;
+      part.to = s;
+      here = next;
+      stride = std::min(2 * stride, kLongest);
+    } else {
+      stride *= 0.5;
+    }
+  }
+  part.in_image = !footprint(begin, here).cut;
+  return part;
 }
 
 cv::Vec3f colour_at(const cv::Mat& image, float x, float y) {
@@ -298,112 +388,156 @@ Pixel fuse_nearest(const std::vector<Source>& sources, const std::vector<RayHit>
 // The surface that most sources support; their colours and depths are blended. Back sides hide nothing here: a source
 // that sees a front there knows better.
 Pixel fuse_by_agreement(const std::vector<Source>& sources, const std::vector<RayHit>& hits) {
-  constexpr double kDisparityError = 0.5;  // [px] matching and pose error together
-  constexpr double kRelativeError = 0.01;  // of the depth in the novel view
+  constexpr float kDisparityError = 0.5f;  // [px] matching and pose error together
+  constexpr float kRelativeError = 0.01f;  // of the depth in the novel view
   constexpr float kRim = 16;               // [px] towards its border a source fades out, which hides the seam
-  const size_t count = sources.size();
   struct Candidate {
-    double weight = 0, votes = 0, tolerance = 0;
+    float along, tolerance, votes;
+    size_t source;
   };
-  std::array<Candidate, 32> candidates;
-  for (size_t i = 0; i < count; ++i) {
-    Candidate& candidate = candidates[i];
+  std::array<Candidate, kMostSources> candidates;
+  size_t count = 0;
+  for (size_t i = 0; i < sources.size(); ++i) {
     const RayHit& hit = hits[i];
     if (hit.meeting != Meeting::surface || hit.along <= 0) continue;
     const StereoView& view = sources[i].prepared->view();
-    const RectifiedCamera& camera = view.camera;
-    const double disparity = hit.disparity + camera.disparity_offset;
-    const double depth = camera.f * camera.baseline / disparity;
-    candidate.tolerance = kDisparityError * depth / disparity + kRelativeError * hit.along;
-    double trust = 1;
+    const float disparity = hit.disparity + static_cast<float>(view.camera.disparity_offset);
+    float trust = 1;
     if (!view.disparity.origin.empty()) {
-      const int x = std::min(static_cast<int>(hit.x + 0.5f), camera.width - 1);
-      const int y = std::min(static_cast<int>(hit.y + 0.5f), camera.height - 1);
-      const uint8_t origin = view.disparity.origin(y, x);
-      if (origin == static_cast<uint8_t>(DisparityOrigin::within_segment)) trust = 0.7;
-      if (origin == static_cast<uint8_t>(DisparityOrigin::between_segments)) trust = 0.3;
+      const uint8_t origin = view.disparity.origin(static_cast<int>(hit.y + 0.5f), static_cast<int>(hit.x + 0.5f));
+      if (origin == static_cast<uint8_t>(DisparityOrigin::within_segment)) trust = 0.7f;
+      if (origin == static_cast<uint8_t>(DisparityOrigin::between_segments)) trust = 0.3f;
     }
-    const float to_border =
-        std::min(std::min(hit.x, camera.width - 1 - hit.x), std::min(hit.y, camera.height - 1 - hit.y));
-    const double fade = std::clamp((to_border + 1) / kRim, 0.05f, 1.0f);
-    candidate.votes = trust;
-    candidate.weight = trust * fade / (sources[i].distance + 0.02 * hit.along);
+    candidates[count++] = {
+        .along = hit.along,
+        .tolerance = kDisparityError * sources[i].focal_baseline / (disparity * disparity) + kRelativeError * hit.along,
+        .votes = trust,
+        .source = i};
   }
-  int best = -1;
-  double best_votes = 0;
+  if (count == 0) return {};
+  const auto agree = [](const Candidate& a, const Candidate& b) {
+    return std::abs(a.along - b.along) <= a.tolerance + b.tolerance;
+  };
+  size_t best = 0;
+  float best_votes = 0;
   for (size_t i = 0; i < count; ++i) {
-    if (candidates[i].votes == 0) continue;
-    double votes = 0;
-    for (size_t j = 0; j < count; ++j) {
-      const double apart = std::abs(static_cast<double>(hits[i].along) - hits[j].along);
-      if (apart <= candidates[i].tolerance + candidates[j].tolerance) votes += candidates[j].votes;
-    }
-    const bool nearer = best >= 0 && hits[i].along < hits[static_cast<size_t>(best)].along;
-    if (votes > best_votes + 1e-9 || (votes > best_votes - 1e-9 && nearer))
-      best_votes = votes, best = static_cast<int>(i);
+    float votes = 0;
+    for (size_t j = 0; j < count; ++j) votes += agree(candidates[i], candidates[j]) ? candidates[j].votes : 0.0f;
+    const bool nearer = candidates[i].along < candidates[best].along;
+    if (votes > best_votes + 1e-4f || (votes > best_votes - 1e-4f && nearer)) best_votes = votes, best = i;
   }
-  if (best < 0) return {};
 
-  const size_t winner = static_cast<size_t>(best);
-  cv::Vec3d colour(0, 0, 0);
-  double depth = 0, total = 0, most = 0;
+  cv::Vec3f colour(0, 0, 0);
+  float depth = 0, total = 0, most = 0;
   Pixel pixel;
   for (size_t j = 0; j < count; ++j) {
     const Candidate& candidate = candidates[j];
-    if (candidate.votes == 0) continue;
-    const double apart = std::abs(static_cast<double>(hits[winner].along) - hits[j].along);
-    if (apart > candidates[winner].tolerance + candidate.tolerance) continue;
-    colour += candidate.weight * cv::Vec3d(colour_at(sources[j].prepared->view().image, hits[j].x, hits[j].y));
-    depth += candidate.weight * hits[j].along;
-    total += candidate.weight;
-    if (candidate.weight > most) most = candidate.weight, pixel.source = static_cast<int16_t>(j);
+    if (!agree(candidates[best], candidate)) continue;
+    const RayHit& hit = hits[candidate.source];
+    const Source& source = sources[candidate.source];
+    const cv::Mat& image = source.prepared->view().image;
+    const float to_border = std::min(std::min(hit.x, static_cast<float>(image.cols - 1) - hit.x),
+                                     std::min(hit.y, static_cast<float>(image.rows - 1) - hit.y));
+    const float fade = std::clamp((to_border + 1) / kRim, 0.05f, 1.0f);
+    const float weight = candidate.votes * fade / (static_cast<float>(source.distance) + 0.02f * candidate.along);
+    colour += weight * colour_at(image, hit.x, hit.y);
+    depth += weight * candidate.along;
+    total += weight;
+    if (weight > most) most = weight, pixel.source = static_cast<int16_t>(candidate.source);
   }
-  for (int c = 0; c < 3; ++c) pixel.colour[c] = static_cast<uint8_t>(colour[c] / total + 0.5);
-  pixel.depth = static_cast<float>(depth / total);
+  for (int c = 0; c < 3; ++c) pixel.colour[c] = static_cast<uint8_t>(colour[c] / total + 0.5f);
+  pixel.depth = depth / total;
   return pixel;
 }
 
-// Pixel (x, y) of `view` is pixel (step x, step y) of the camera.
+// The meeting of a ray between four rays of the same tile, from theirs: on one smooth surface the image point and its
+// disparity are interpolated, and the disparity image must confirm the result. False = the ray has to be walked.
+bool interpolate_hit(const PreparedSource& source, const std::array<const RayHit*, 4>& around, float max_step,
+                     RayHit& hit) {
+  constexpr float kFarthestApart = 4;      // [px] in the source image: nothing that matters lies between
+  constexpr float kDisparityError = 0.1f;  // [px]
+  float low_x = around[0]->x, high_x = low_x, low_y = around[0]->y, high_y = low_y, x = 0, y = 0, disparity = 0;
+  for (const RayHit* neighbour : around) {
+    if (neighbour->meeting != around[0]->meeting) return false;
+    low_x = std::min(low_x, neighbour->x), high_x = std::max(high_x, neighbour->x);
+    low_y = std::min(low_y, neighbour->y), high_y = std::max(high_y, neighbour->y);
+    x += 0.25f * neighbour->x, y += 0.25f * neighbour->y, disparity += 0.25f * neighbour->disparity;
+  }
+  hit = {.meeting = around[0]->meeting, .x = x, .y = y, .disparity = disparity};
+  if (hit.meeting == Meeting::nothing) return true;
+  if (high_x - low_x > kFarthestApart || high_y - low_y > kFarthestApart) return false;
+  return std::abs(inside(source.disparity(), x, y, max_step) - disparity) <= kDisparityError;
+}
+
+// Pixel (x, y) of `view` is pixel (step x, step y) of the camera. In each tile every second ray in both directions is
+// walked (and those just beyond its right and lower sides); of the others only those that their neighbours do not
+// settle.
 void trace(const NovelCamera& camera, const std::vector<Source>& sources, const DsnvOptions& options, NovelView& view) {
+  constexpr int kSide = kTile + 1, kWalked = kTile / 2 + 1;
   const int step = options.step, width = view.image.cols, height = view.image.rows;
   const float max_step = static_cast<float>(options.max_disparity_step);
   const bool agreement = options.fusion == "agreement";
   parallel_chunks(0, height, kTile, [&](int y_begin, int y_end) {
     const size_t count = sources.size();
     std::vector<std::array<RayHit, kTile * kTile>> hits(count);
-    std::array<Vector3d, kTile * kTile> rays;
+    std::array<std::array<Vector3d, kSide>, kSide> rays;
+    std::array<std::array<RayHit, kWalked>, kWalked> walked;
     std::vector<RayHit> of_pixel(count);
     for (int x_begin = 0; x_begin < width; x_begin += kTile) {
-      const int x_end = std::min(x_begin + kTile, width), columns = x_end - x_begin;
-      for (int y = y_begin; y < y_end; ++y) {
-        for (int x = x_begin; x < x_end; ++x) {
-          rays[static_cast<size_t>((y - y_begin) * columns + x - x_begin)] = pixel_ray(camera, x * step, y * step);
+      const int columns = std::min(kTile, width - x_begin), rows = y_end - y_begin;
+      for (size_t y = 0; y < kSide; ++y) {
+        for (size_t x = 0; x < kSide; ++x) {
+          rays[y][x] =
+              pixel_ray(camera, (x_begin + static_cast<int>(x)) * step, (y_begin + static_cast<int>(y)) * step);
         }
       }
-      const size_t pixels = static_cast<size_t>((y_end - y_begin) * columns);
       for (size_t i = 0; i < count; ++i) {
         const Source& source = sources[i];
-        double from = 0;
-        if (camera.projection == Projection::pinhole) {
-          from = free_until(
-              source, {source.cam_from_novel * rays[0], source.cam_from_novel * rays[static_cast<size_t>(columns - 1)],
-                       source.cam_from_novel * rays[pixels - static_cast<size_t>(columns)],
-                       source.cam_from_novel * rays[pixels - 1]});
-        }
+        const PreparedSource& prepared = *source.prepared;
         const DepthRange range{source.nearest, source.farthest};
-        for (size_t k = 0; k < pixels; ++k) {
-          hits[i][k] = from >= kBeyond ? RayHit{}
-                                       : walk(*source.prepared, range, source.cam_from_novel * rays[k],
-                                              source.novel_in_cam, from, max_step);
+        const Vector3d& t = source.novel_in_cam;
+        Stretch part;
+        if (camera.projection == Projection::pinhole) {
+          part = tile_stretch(source,
+                              {source.cam_from_novel * rays[0][0], source.cam_from_novel * rays[0][kTile],
+                               source.cam_from_novel * rays[kTile][0], source.cam_from_novel * rays[kTile][kTile]});
+        }
+        if (part.from >= part.to) {
+          hits[i].fill({});
+          continue;
+        }
+        for (size_t y = 0; y < kWalked; ++y) {
+          for (size_t x = 0; x < kWalked; ++x) {
+            walked[y][x] = walk(prepared, range, source.cam_from_novel * rays[2 * y][2 * x], t, part, max_step);
+          }
+        }
+        for (size_t y = 0; y < kTile; ++y) {
+          for (size_t x = 0; x < kTile; ++x) {
+            RayHit& hit = hits[i][y * kTile + x];
+            const size_t x0 = x / 2, x1 = (x + 1) / 2, y0 = y / 2, y1 = (y + 1) / 2;
+            if (x0 == x1 && y0 == y1) {
+              hit = walked[y0][x0];
+              continue;
+            }
+            const Vector3d q = source.cam_from_novel * rays[y][x];
+            const std::array<const RayHit*, 4> around = {&walked[y0][x0], &walked[y0][x1], &walked[y1][x0],
+                                                         &walked[y1][x1]};
+            if (!interpolate_hit(prepared, around, max_step, hit)) {
+              hit = walk(prepared, range, q, t, part, max_step);
+            } else if (hit.meeting != Meeting::nothing) {
+              hit.along = along_ray(prepared, q, t, hit);
+            }
+          }
         }
       }
-      for (size_t k = 0; k < pixels; ++k) {
-        for (size_t i = 0; i < count; ++i) of_pixel[i] = hits[i][k];
-        const Pixel pixel = agreement ? fuse_by_agreement(sources, of_pixel) : fuse_nearest(sources, of_pixel);
-        const int y = y_begin + static_cast<int>(k) / columns, x = x_begin + static_cast<int>(k) % columns;
-        view.image(y, x) = pixel.colour;
-        view.depth(y, x) = pixel.depth;
-        view.source(y, x) = pixel.source;
+      for (int y = 0; y < rows; ++y) {
+        for (int x = 0; x < columns; ++x) {
+          for (size_t i = 0; i < count; ++i) of_pixel[i] = hits[i][static_cast<size_t>(y * kTile + x)];
+          const Pixel pixel = agreement ? fuse_by_agreement(sources, of_pixel) : fuse_nearest(sources, of_pixel);
+          view.image(y_begin + y, x_begin + x) = pixel.colour;
+          view.depth(y_begin + y, x_begin + x) = pixel.depth;
+          view.source(y_begin + y, x_begin + x) = pixel.source;
+        }
       }
     }
   });
@@ -448,34 +582,43 @@ NovelView interpolate(const NovelView& coarse, int width, int height, int step) 
   return view;
 }
 
-// Holes up to `widest` pixels across get the colours of their rims; depth and source go on saying that nothing is
-// known.
+// Holes that are nowhere more than `widest` pixels across get the colours of their rims, as wholes: a hole that is
+// filled in part looks worse than one left dark. Depth and source go on saying that nothing is known.
 void fill_small_holes(NovelView& view, int widest) {
   if (widest <= 0) return;
   const int width = view.image.cols, height = view.image.rows;
+  const cv::Mat1b mask = view.source < 0;
+  cv::Mat1i labels;
+  const int components = cv::connectedComponents(mask, labels, 8, CV_32S);
+  if (components == 1) return;
+  cv::Mat1f to_rim;  // [px] 1 beside the rim
+  cv::distanceTransform(mask, to_rim, cv::DIST_C, 3, CV_32F);
+  std::vector<bool> small(static_cast<size_t>(components), true);
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      const int label = labels(y, x);
+      const bool at_border = x == 0 || y == 0 || x == width - 1 || y == height - 1;
+      if (label > 0 && (at_border || 2 * to_rim(y, x) - 1 > static_cast<float>(widest))) {
+        small[static_cast<size_t>(label)] = false;
+      }
+    }
+  }
   parallel_chunks(0, height, 16, [&](int y_begin, int y_end) {
     for (int y = y_begin; y < y_end; ++y) {
       for (int x = 0; x < width; ++x) {
-        if (view.source(y, x) >= 0) continue;
-        // Distance to the first known pixel in a direction, 0 if the picture ends or it is too far.
-        const auto rim = [&](int dx, int dy) {
-          for (int n = 1; n <= widest; ++n) {
-            const int u = x + n * dx, v = y + n * dy;
-            if (u < 0 || v < 0 || u >= width || v >= height) return 0;
-            if (view.source(v, u) >= 0) return n;
-          }
-          return 0;
-        };
-        const int left = rim(-1, 0), right = rim(1, 0), up = rim(0, -1), down = rim(0, 1);
-        const int across = left && right ? left + right - 1 : widest + 1;
-        const int along = up && down ? up + down - 1 : widest + 1;
-        if (std::min(across, along) > widest) continue;
-        const bool by_row = across <= along;
-        const int a = by_row ? left : up, b = by_row ? right : down;
-        const cv::Vec3b ca = by_row ? view.image(y, x - a) : view.image(y - a, x);
-        const cv::Vec3b cb = by_row ? view.image(y, x + b) : view.image(y + b, x);
-        for (int k = 0; k < 3; ++k)
-          view.image(y, x)[k] = static_cast<uint8_t>((ca[k] * b + cb[k] * a + (a + b) / 2) / (a + b));
+        if (labels(y, x) == 0 || !small[static_cast<size_t>(labels(y, x))]) continue;
+        // The nearest known pixel in each of the four directions counts by the reciprocal of its distance. All lie
+        // inside the picture, since small holes do not touch its border.
+        cv::Vec3f sum(0, 0, 0);
+        float total = 0;
+        for (const auto& [dx, dy] : {std::pair{-1, 0}, {1, 0}, {0, -1}, {0, 1}}) {
+          int n = 1;
+          while (labels(y + n * dy, x + n * dx) != 0) ++n;
+          const float weight = 1 / static_cast<float>(n);
+          sum += weight * cv::Vec3f(view.image(y + n * dy, x + n * dx));
+          total += weight;
+        }
+        for (int k = 0; k < 3; ++k) view.image(y, x)[k] = static_cast<uint8_t>(sum[k] / total + 0.5f);
       }
     }
   });
@@ -493,7 +636,7 @@ Vector3d pixel_ray(const NovelCamera& camera, double x, double y) {
 RayHit walk_ray(const PreparedSource& source, const Vector3d& direction, const Vector3d& origin, double from,
                 double max_disparity_step) {
   if (source.max_disparity() <= 0) return {};
-  return walk(source, depth_range(source), direction, origin, from, static_cast<float>(max_disparity_step));
+  return walk(source, depth_range(source), direction, origin, {.from = from}, static_cast<float>(max_disparity_step));
 }
 
 NovelView render_novel_view(const NovelCamera& camera,
@@ -503,7 +646,7 @@ NovelView render_novel_view(const NovelCamera& camera,
   IRIS_CHECK(camera.projection == Projection::equirectangular || camera.f > 0);
   IRIS_CHECK(options.step == 1 || options.step == 2 || options.step == 4);
   IRIS_CHECK(options.fusion == "agreement" || options.fusion == "nearest");
-  IRIS_CHECK(prepared.size() <= 32);
+  IRIS_CHECK(prepared.size() <= kMostSources);
   // A source without disparities stays in the list, so that indices remain those of the caller; its ranges are empty.
   std::vector<Source> sources;
   for (const auto& source : prepared) {
@@ -514,7 +657,8 @@ NovelView render_novel_view(const NovelCamera& camera,
                        .novel_in_cam = cam_from_novel.translation(),
                        .distance = cam_from_novel.translation().norm(),
                        .nearest = range.nearest,
-                       .farthest = range.farthest});
+                       .farthest = range.farthest,
+                       .focal_baseline = static_cast<float>(source->view().camera.f * source->view().camera.baseline)});
   }
   const int step = options.step;
   NovelView view = blank((camera.width + step - 1) / step, (camera.height + step - 1) / step);

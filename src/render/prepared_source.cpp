@@ -7,6 +7,8 @@
 namespace iris::render {
 namespace {
 
+constexpr float kNoDisparity = 1e9f;  // [px] beyond all
+
 DisparityOrigin accepted_origin(const std::string& name) {
   if (name == "measured") return DisparityOrigin::corrected;
   if (name == "within") return DisparityOrigin::within_segment;
@@ -51,40 +53,69 @@ PreparedSource::PreparedSource(std::shared_ptr<const StereoView> view, const Dsn
     }
   }
 
-  cv::Mat1f level((all.rows + 3) >> kFirstBits, (all.cols + 3) >> kFirstBits, 0.0f);
-  float low = 1e9f;
+  const cv::Size blocks((all.cols + 3) >> kFirstBits, (all.rows + 3) >> kFirstBits);
+  max_levels_.emplace_back(blocks, 0.0f);
+  min_levels_.emplace_back(blocks, kNoDisparity);
   for (int y = 0; y < all.rows; ++y) {
     const float* row = disparity_[y];
-    float* blocks = level[y >> kFirstBits];
+    float* high = max_levels_[0][y >> kFirstBits];
+    float* low = min_levels_[0][y >> kFirstBits];
     for (int x = 0; x < all.cols; ++x) {
       const float d = row[x];
-      low = d > 0 ? std::min(low, d) : low;
-      blocks[x >> kFirstBits] = std::max(blocks[x >> kFirstBits], d);
+      const int block = x >> kFirstBits;
+      high[block] = std::max(high[block], d);
+      low[block] = std::min(low[block], d > 0 ? d : kNoDisparity);
     }
   }
-  for (const float d : level) max_disparity_ = std::max(max_disparity_, d);
-  min_disparity_ = max_disparity_ > 0 ? low : 0;
-  max_levels_.push_back(level);
-  while (level.rows > 1 || level.cols > 1) {
-    cv::Mat1f next((level.rows + 1) / 2, (level.cols + 1) / 2, 0.0f);
-    for (int y = 0; y < level.rows; ++y) {
-      for (int x = 0; x < level.cols; ++x) next(y / 2, x / 2) = std::max(next(y / 2, x / 2), level(y, x));
+  while (max_levels_.back().total() > 1) {
+    const cv::Mat1f high = max_levels_.back(), low = min_levels_.back();
+    cv::Mat1f next_high((high.rows + 1) / 2, (high.cols + 1) / 2, 0.0f);
+    cv::Mat1f next_low(next_high.size(), kNoDisparity);
+    for (int y = 0; y < high.rows; ++y) {
+      for (int x = 0; x < high.cols; ++x) {
+        next_high(y / 2, x / 2) = std::max(next_high(y / 2, x / 2), high(y, x));
+        next_low(y / 2, x / 2) = std::min(next_low(y / 2, x / 2), low(y, x));
+      }
     }
-    max_levels_.push_back(next);
-    level = next;
+    max_levels_.push_back(next_high);
+    min_levels_.push_back(next_low);
   }
+  max_disparity_ = max_levels_.back()(0, 0);
+  min_disparity_ = max_disparity_ > 0 ? min_levels_.back()(0, 0) : 0;
 }
 
-float PreparedSource::max_in(int x0, int y0, int x1, int y1) const {
+namespace {
+
+// The level whose blocks a rectangle covers by few.
+size_t level_of(int x0, int y0, int x1, int y1, int first_bits, size_t levels) {
   const int longest = std::max(x1 - x0, y1 - y0);
-  int level = 0, bits = kFirstBits;
-  while ((longest >> bits) > 3 && level + 1 < static_cast<int>(max_levels_.size())) ++level, ++bits;
-  const cv::Mat1f& blocks = max_levels_[static_cast<size_t>(level)];
+  size_t level = 0;
+  while ((longest >> (first_bits + static_cast<int>(level))) > 3 && level + 1 < levels) ++level;
+  return level;
+}
+
+}  // namespace
+
+float PreparedSource::max_in(int x0, int y0, int x1, int y1) const {
+  const size_t level = level_of(x0, y0, x1, y1, kFirstBits, max_levels_.size());
+  const int bits = kFirstBits + static_cast<int>(level);
   float largest = 0;
   for (int y = y0 >> bits; y <= y1 >> bits; ++y) {
-    for (int x = x0 >> bits; x <= x1 >> bits; ++x) largest = std::max(largest, blocks(y, x));
+    const float* row = max_levels_[level][y];
+    for (int x = x0 >> bits; x <= x1 >> bits; ++x) largest = std::max(largest, row[x]);
   }
   return largest;
+}
+
+float PreparedSource::min_in(int x0, int y0, int x1, int y1) const {
+  const size_t level = level_of(x0, y0, x1, y1, kFirstBits, min_levels_.size());
+  const int bits = kFirstBits + static_cast<int>(level);
+  float smallest = kNoDisparity;
+  for (int y = y0 >> bits; y <= y1 >> bits; ++y) {
+    const float* row = min_levels_[level][y];
+    for (int x = x0 >> bits; x <= x1 >> bits; ++x) smallest = std::min(smallest, row[x]);
+  }
+  return smallest;
 }
 
 }  // namespace iris::render

@@ -32,11 +32,18 @@ double positive(const std::filesystem::path& file, const json& from, const std::
 
 Pose pose_of(const std::filesystem::path& file, const json& entry, const std::string& where) {
   if (!entry.is_object() || !entry.contains("camera_to_world")) fail(file, where + " has no \"camera_to_world\"");
-  std::vector<double> values;
-  const json flat = entry["camera_to_world"].flatten();  // 16 numbers, or four rows of four
-  for (const json& value : flat) {
+  std::vector<double> values;  // 16 numbers, or four rows of four
+  const auto take = [&](const json& value) {
     if (!value.is_number()) fail(file, where + ": camera_to_world holds something that is not a number");
     values.push_back(value.get<double>());
+  };
+  if (!entry["camera_to_world"].is_array()) fail(file, where + ": camera_to_world is not a list");
+  for (const json& item : entry["camera_to_world"]) {
+    if (item.is_array()) {
+      for (const json& value : item) take(value);
+    } else {
+      take(item);
+    }
   }
   if (values.size() != 16) {
     fail(file, where + ": camera_to_world has " + std::to_string(values.size()) + " numbers instead of 16");

@@ -225,7 +225,8 @@ TEST(NovelView, WithoutMotionTheSourceComesBack) {
       }
     }
     EXPECT_EQ(different, 0) << fusion;
-    EXPECT_LT(largest, 1e-5) << fusion;
+    // A ray that its neighbours settle may be 0.1 px of disparity off, 1 % of the 10 px of the far wall.
+    EXPECT_LT(largest, 0.01) << fusion;
   }
 }
 
@@ -275,7 +276,7 @@ INSTANTIATE_TEST_SUITE_P(Poses, NovelPoses,
                                            Novel{"sideways", pose_at({0.9, -0.2, 0.2}, {0, -0.25, 0})}),
                          [](const auto& info) { return info.param.name; });
 
-TEST(NovelView, SkippingFreeSpaceChangesNothing) {
+TEST(NovelView, SkippingSpaceAndSettlingByNeighboursKeepTheWalksResult) {
   const RectifiedCamera camera = scene_camera();
   const auto view = shared(room().view(camera, Pose::Identity()));
   const PreparedSource source(view, {});
@@ -283,17 +284,19 @@ TEST(NovelView, SkippingFreeSpaceChangesNothing) {
                            pose_at({0.1, 0, 4}, {0, 3.0, 0}), pose_at({-1, 0.3, 0}, {0, 0.9, 0.4})}) {
     const NovelCamera novel = novel_of(camera, pose);
     const NovelView shown = render_novel_view(novel, {view}, {.fill_holes = 0});
-    int different = 0;
+    int different = 0, grossly = 0;
     for (int y = 0; y < novel.height; ++y) {
       for (int x = 0; x < novel.width; ++x) {
         const RayHit hit = walk_ray(source, pose.linear() * pixel_ray(novel, x, y), pose.translation(), 0, 2);
         const float depth = hit.meeting == Meeting::surface && hit.along > 0 ? hit.along : 0;
         different += std::abs(depth - shown.depth(y, x)) > 1e-4 * depth;
+        grossly += std::abs(depth - shown.depth(y, x)) > 0.02 * depth;
       }
     }
-    // Begun elsewhere, the walk passes other sub-pixel positions: single rays that graze the border of an object may
-    // differ.
-    EXPECT_LE(different, 4);
+    // Measured: up to 1.4 % of the pixels along the edges where walls meet (0.1 px of disparity), and single rays that
+    // graze the border of an object, since a walk begun elsewhere passes other sub-pixel positions.
+    EXPECT_LE(different, 320 * 240 / 50);
+    EXPECT_LE(grossly, 320 * 240 / 500);
   }
 }
 

@@ -38,13 +38,16 @@ class PreparedSource {
   float max_disparity() const { return max_disparity_; }
   // Largest disparity in a rectangle of pixels (all bounds included, inside the image), or a little more than that.
   float max_in(int x0, int y0, int x1, int y1) const;
+  // Smallest valid disparity there, or a little less; larger than every disparity if none is valid.
+  float min_in(int x0, int y0, int x1, int y1) const;
 
  private:
   static constexpr int kFirstBits = 2;  // the finest level has blocks of 4x4 pixels
   std::shared_ptr<const StereoView> view_;
   cv::Mat1f disparity_;
   float min_disparity_ = 0, max_disparity_ = 0;
-  std::vector<cv::Mat1f> max_levels_;  // level k: largest disparity of each block of 2^(k+2) pixels
+  // Level k: largest and smallest disparity of each block of 2^(k+2) x 2^(k+2) pixels.
+  std::vector<cv::Mat1f> max_levels_, min_levels_;
 };
 
 // The picture of the novel camera. `source` of the result holds indices into `sources`. All views must be in one

@@ -1,0 +1,93 @@
+#include "iris/tour/path_file.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <filesystem>
+
+#include "iris/core/atomic_file.h"
+#include "iris/core/error.h"
+
+namespace iris::tour {
+namespace {
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+
+class PathFile : public ::testing::Test {
+ protected:
+  fs::path write(const std::string& text) {
+    write_file(file_, text);
+    return file_;
+  }
+  std::string problem_of(const std::string& text) {
+    try {
+      read_camera_path(write(text));
+    } catch (const InputError& error) {
+      return error.what();
+    }
+    return "";
+  }
+  void TearDown() override { fs::remove(file_); }
+
+  fs::path file_ = fs::temp_directory_path() / ("iris_path_" + std::to_string(getpid()) + ".json");
+};
+
+// Camera at (1, 2, 3): nerfstudio's axes in the world: x = (0, 1, 0), y = (0, 0, 1), z = (1, 0, 0), so it looks along
+// -x.
+const std::string kEntry = R"({"camera_to_world": [0,0,1,1, 1,0,0,2, 0,1,0,3, 0,0,0,1], "fov": 60})";
+
+std::string file_with(const std::string& entries, const std::string& more = R"("seconds": 2,)") {
+  return "{" + more + R"("render_width": 320, "render_height": 200, "camera_path": [)" + entries + "]}";
+}
+
+TEST_F(PathFile, AxesTimesAndFieldOfView) {
+  const CameraPathFile file =
+      read_camera_path_file(write(file_with(kEntry + "," + kEntry + "," + kEntry + "," + kEntry)));
+  EXPECT_EQ(file.width, 320);
+  EXPECT_EQ(file.height, 200);
+  EXPECT_EQ(file.projection, Projection::pinhole);
+  ASSERT_EQ(file.path.keyframes.size(), 4u);
+  for (size_t i = 0; i < 4; ++i) EXPECT_NEAR(file.path.keyframes[i].t, 0.5 * static_cast<double>(i), 1e-12);
+  const CameraKeyframe& key = file.path.keyframes[0];
+  EXPECT_NEAR(key.fov, M_PI / 3, 1e-12);
+  EXPECT_TRUE(key.world_from_cam.translation().isApprox(Eigen::Vector3d(1, 2, 3)));
+  EXPECT_TRUE((key.world_from_cam.linear() * Eigen::Vector3d::UnitZ()).isApprox(Eigen::Vector3d(-1, 0, 0)));  // sight
+  EXPECT_TRUE((key.world_from_cam.linear() * Eigen::Vector3d::UnitY()).isApprox(Eigen::Vector3d(0, 0, -1)));  // down
+  EXPECT_NEAR(key.world_from_cam.linear().determinant(), 1, 1e-12);
+}
+
+TEST_F(PathFile, FramesPerSecondReplaceSecondsAndPanoramasNeedNoFov) {
+  const std::string entry = R"({"camera_to_world": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]})";
+  const CameraPathFile file =
+      read_camera_path_file(write(file_with(entry + "," + entry, R"("fps": 24, "camera_type": "equirectangular",)")));
+  EXPECT_EQ(file.projection, Projection::equirectangular);
+  EXPECT_NEAR(file.path.keyframes[1].t, 1.0 / 24, 1e-12);
+}
+
+TEST_F(PathFile, MistakesAreNamed) {
+  EXPECT_THAT(problem_of("{\"camera_path\": ["), HasSubstr("is not a JSON object"));
+  EXPECT_THAT(problem_of("[]"), HasSubstr("is not a JSON object"));
+  EXPECT_THAT(problem_of("{}"), HasSubstr("camera_path"));
+  EXPECT_THAT(problem_of(file_with("")), HasSubstr("no entries"));
+  EXPECT_THAT(problem_of(file_with(kEntry, "")), HasSubstr("neither \"seconds\" nor \"fps\""));
+  EXPECT_THAT(problem_of(file_with(kEntry, R"("seconds": -1,)")), HasSubstr("\"seconds\" is not positive"));
+  EXPECT_THAT(problem_of(file_with(kEntry, R"("seconds": "2",)")), HasSubstr("\"seconds\" is not a number"));
+  EXPECT_THAT(problem_of(file_with(kEntry, R"("seconds": 1, "camera_type": "fisheye",)")), HasSubstr("camera_type"));
+  EXPECT_THAT(problem_of(file_with(kEntry + R"(, {"fov": 50})")),
+              HasSubstr("camera_path[1] has no \"camera_to_world\""));
+  EXPECT_THAT(problem_of(file_with(R"({"camera_to_world": [1,2,3], "fov": 50})")),
+              HasSubstr("3 numbers instead of 16"));
+  EXPECT_THAT(problem_of(file_with(R"({"camera_to_world": 5, "fov": 50})")), HasSubstr("camera_path[0]"));
+  EXPECT_THAT(problem_of(file_with(R"({"camera_to_world": [1,0,0,0,0,2,0,0,0,0,1,0,0,0,0,1], "fov": 50})")),
+              HasSubstr("not a rotation"));
+  EXPECT_THAT(problem_of(file_with(R"({"camera_to_world": [1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]})")), HasSubstr("\"fov\""));
+  EXPECT_THAT(problem_of(file_with(R"({"camera_to_world": [1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1], "fov": 190})")),
+              HasSubstr("below 180"));
+  EXPECT_THAT(problem_of(file_with("7")), HasSubstr("camera_path[0]"));
+  EXPECT_THROW(read_camera_path("/nowhere/path.json"), InputError);
+}
+
+}  // namespace
+}  // namespace iris::tour

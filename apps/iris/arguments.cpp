@@ -55,7 +55,8 @@ void Arguments::resolve(const std::filesystem::path& saved) {
   if (!config_.empty()) set.read_toml(config_);
   for (const auto& [name, text] : given_) set.set(name, text);
   set.validate();
-  if (quiet_) spdlog::set_level(spdlog::level::warn);
+  // The console alone: the log file of a run keeps everything.
+  if (quiet_) spdlog::default_logger()->sinks().front()->set_level(spdlog::level::warn);
 }
 
 int Arguments::threads() const { return threads_ > 0 ? threads_ : available_threads(); }

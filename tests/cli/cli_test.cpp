@@ -97,6 +97,7 @@ TEST_F(Cli, RunWritesEveryProduct) {
         "views/000000.origin.png", "options.toml", "log.txt", "workspace.db"}) {
     EXPECT_TRUE(fs::exists(reference() / file)) << file;
   }
+  EXPECT_THAT(read_file(reference() / "log.txt"), HasSubstr("14 of 14 frames have a pose"));  // although it ran quietly
 }
 
 TEST_F(Cli, ThePathIsTheSimulatedOne) {

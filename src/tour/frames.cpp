@@ -110,6 +110,32 @@ class SourceCache {
 
 }  // namespace
 
+double scene_depth(const views::ViewStore& store, int submap) {
+  constexpr size_t kViews = 16;
+  constexpr int kStep = 8;  // [px] every 8th pixel of every 8th row
+  std::vector<int> views;
+  for (size_t i = 0; i < store.summaries().size(); ++i) {
+    const views::ViewSummary& view = store.summaries()[i];
+    if (view.submap == submap && view.max_disparity > 0) views.push_back(static_cast<int>(i));
+  }
+  std::vector<double> depths;
+  const size_t count = std::min(views.size(), kViews);
+  for (size_t k = 0; k < count; ++k) {
+    const auto view = store.load(views[k * views.size() / count]);
+    const cv::Mat1f& disparity = view->disparity.disparity;
+    for (int y = kStep / 2; y < disparity.rows; y += kStep) {
+      for (int x = kStep / 2; x < disparity.cols; x += kStep) {
+        const double d = disparity(y, x) + view->camera.disparity_offset;
+        if (disparity(y, x) > 0 && d > 0) depths.push_back(view->camera.f * view->camera.baseline / d);
+      }
+    }
+  }
+  if (depths.empty()) return 0;
+  const auto middle = depths.begin() + static_cast<ptrdiff_t>(depths.size() / 2);
+  std::nth_element(depths.begin(), middle, depths.end());
+  return *middle;
+}
+
 int frame_count(const CameraPath& path, const TourOptions& options) {
   return path.keyframes.empty() ? 0 : static_cast<int>(std::floor(duration(path) * options.fps + 1e-6)) + 1;
 }

@@ -115,6 +115,19 @@ TEST(RenderTour, AFailingSinkEndsTheTour) {
   EXPECT_EQ(calls, 3);
 }
 
+TEST(SceneDepth, IsTheMedianOfTheSubMap) {
+  std::vector<StereoView> views;
+  for (int i = 0; i < 5; ++i) views.push_back(room().view(scene_camera(), Pose::Identity(), i));
+  const double ft = scene_camera().f * scene_camera().baseline;
+  for (int i = 0; i < 5; ++i)
+    views[static_cast<size_t>(i)].disparity.disparity = static_cast<float>(ft / (i < 3 ? 2 + i : 50));
+  views[3].submap = views[4].submap = 1;
+  const views::MemoryViewStore store(views);
+  EXPECT_NEAR(scene_depth(store, 0), 3, 1e-5);
+  EXPECT_NEAR(scene_depth(store, 1), 50, 1e-4);
+  EXPECT_EQ(scene_depth(store, 2), 0);
+}
+
 TEST(FrameCount, OneAtTheBeginningThenOneEveryFrameTime) {
   CameraPath path;
   path.keyframes = {{.t = 2}, {.t = 3.5}};

@@ -10,6 +10,10 @@
 
 namespace iris::tour {
 
+// Median depth [m] of the scene before the stored views of a sub-map (from at most 16 of them, evenly chosen): what
+// along() wants. 0 if no view has a disparity.
+double scene_depth(const views::ViewStore& store, int submap);
+
 // Number of frames of a path: one at its beginning, then one every 1/fps s.
 int frame_count(const CameraPath& path, const TourOptions& options);
 

@@ -53,8 +53,8 @@ TEST_P(EstimateMotion, RecoversKnownMotionsOfARenderedRoom) {
     // 0.15 mm across; along, 0.1 sqrt(2) 16 / (270 * 0.12) / sqrt(100) = 7 mm. The matches of the turned and scaled
     // texture are a few times worse than 0.1 px.
     const double scale = GetParam() == "spherical" ? 4 : 1;
-    EXPECT_LT(error.translation().norm(), scale * 0.010) << c.name;
-    EXPECT_LT(rotation_angle(error), scale * 0.10 * kDegree) << c.name;
+    EXPECT_LT(error.translation().norm(), scale * 0.006) << c.name;
+    EXPECT_LT(rotation_angle(error), scale * 0.06 * kDegree) << c.name;
     EXPECT_LT(estimate.rms_px, 0.3) << c.name;
     EXPECT_GE(estimate.used, 60) << c.name;
     EXPECT_LE(estimate.used, estimate.consistent);
@@ -76,8 +76,8 @@ TEST_P(EstimateMotion, RecoversAQuarterTurnAboutTheOpticalAxis) {
     ASSERT_EQ(estimate.status, MotionStatus::ok) << roll;
     const Pose error = (start.inverse() * end).inverse() * estimate.prev_from_cur;
     const double scale = GetParam() == "spherical" ? 4 : 1;
-    EXPECT_LT(error.translation().norm(), scale * 0.015) << roll;
-    EXPECT_LT(rotation_angle(error), scale * 0.15 * kDegree) << roll;
+    EXPECT_LT(error.translation().norm(), scale * 0.008) << roll;
+    EXPECT_LT(rotation_angle(error), scale * 0.08 * kDegree) << roll;
     options.quarter_turns = false;
     EXPECT_EQ(estimate_motion(prev, cur, kCamera, options).status, MotionStatus::too_few_consistent);
     options.quarter_turns = true;

@@ -24,8 +24,8 @@ struct ScsOptions {
   // Result.
   int min_used = 8;                 // fewer correspondences than this are a failure
   double huber_px = 0.3;            // [px] errors beyond this count linearly in the last minimisation; 0 = off
-  double max_rms_px = 0.6;          // [px] image error per coordinate that a good motion does not exceed
-  double max_rotation_error = 2.0;  // [deg] an estimate whose rotation is less certain (one sigma) is degenerate
+  double max_rms_px = 0.5;          // [px] image error per coordinate that a good motion does not exceed
+  double max_rotation_error = 1.0;  // [deg] an estimate whose rotation is less certain (one sigma) is degenerate
   int retry_views = 5;              // earlier views that a failed estimate is retried against
 
   void declare(OptionSet& set);

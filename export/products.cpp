@@ -80,11 +80,10 @@ int write_tour(const Workspace& workspace, const RunOptions& options, const std:
   for (PoseNode& node : workspace.pose_graph(pipeline::world_from_submap()).nodes) {
     if (node.submap == submap) nodes.push_back(node);
   }
-  constexpr int kDepthSamples = 9;
   tour::TourOptions tour_options = options.library.tour;
   CameraPath path;
   if (camera_path_file.empty()) {
-    path = tour::along(nodes, tour_options, views::median_depth(*views, kDepthSamples));
+    path = tour::along(nodes, tour_options, tour::scene_depth(*views, submap));
   } else {
     const tour::CameraPathFile file = tour::read_camera_path_file(camera_path_file);
     path = file.path;

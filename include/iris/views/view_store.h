@@ -42,7 +42,4 @@ class MemoryViewStore : public ViewStore {
 // The summary of a view (scans its disparities).
 ViewSummary summarise(const StereoView& view);
 
-// Median depth [m] of what the views see (of at most `samples` of them, spread evenly); 0 if they have no disparity.
-double median_depth(const ViewStore& store, int samples);
-
 }  // namespace iris::views

@@ -10,8 +10,8 @@ namespace iris::stereo {
 namespace {
 
 constexpr int kLargestRange = 512;   // [px]
-constexpr double kSurface = 0.001;   // smallest surface that counts, as a fraction of a frame
-constexpr double kMarginFactor = 2;  // the search is wide, so that wrong matches are more likely than in mwmf itself
+constexpr double kSurface = 0.002;   // smallest surface that counts, as a fraction of a frame
+constexpr double kMarginFactor = 8;  // the search is wide, so that wrong matches are more likely than in mwmf itself
 // Part of the measured pixels that the range covers. The rest is what comes extremely near for a moment, and wrong
 // matches, which spread over the whole search; both would double the work for every frame.
 constexpr double kCovered = 0.997;
@@ -29,6 +29,7 @@ SearchRange estimate_search_range(const std::vector<StereoPair>& sample_pairs, c
     wide.min_disparity = options.min_disparity / 2;
     wide.disparities = std::max(8, std::min(kLargestRange / 2, left.cols / 2));
     wide.interpolation = "off";
+    wide.left_right_tolerance = 0;
     wide.min_margin = kMarginFactor * options.min_margin;
     wide.min_segment = std::max(1, static_cast<int>(std::lround(kSurface * left.total())));
     const DisparityImage measured = mwmf(left, right, wide);

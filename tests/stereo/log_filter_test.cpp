@@ -95,8 +95,10 @@ TEST(LogFilter, EveryInstructionSetGivesTheBitsOfPlainCode) {
     random.fill(image, cv::RNG::UNIFORM, 0, 256);
     for (const double sigma : {0.7, 1.0, 1.8}) {
       const cv::Mat1b expected = log_reference(image, sigma);
-      testing::for_each_simd_target(
-          [&] { EXPECT_EQ(cv::countNonZero(log_filter(image, sigma) != expected), 0) << size << " sigma " << sigma; });
+      testing::for_each_simd_target([&](const char* target) {
+        EXPECT_EQ(cv::countNonZero(log_filter(image, sigma) != expected), 0)
+            << target << " " << size << " sigma " << sigma;
+      });
     }
   }
 }

@@ -78,8 +78,14 @@ SightRays sight_rays(const StereoView& view, const RayOptions& options) {
       const double z = f_t / d, length = stretch * z;
       const double propagated = options.pixel_error * std::sqrt(2.0) * z * length / f_t;  // (4.24)
       const double error = std::max(3 * propagated, options.min_error);
-      const double cut = std::min(stretch * f_t / options.min_disparity, options.max_range);
-      const double end = d < options.min_disparity ? cut : std::min(length + error, options.max_range);
+      double end = length + error;
+      if (d < options.min_disparity) {
+        // Far points only tell where it is free. Below half a pixel their error exceeds their distance: they tell
+        // nothing.
+        end = std::min(stretch * f_t / options.min_disparity, length - error);
+        if (end <= 0) continue;
+      }
+      end = std::min(end, options.max_range);
       result.rays.push_back({(sight / stretch).cast<float>(), static_cast<float>(length), static_cast<float>(error),
                              static_cast<float>(end), y * disparity.cols + x});
     }

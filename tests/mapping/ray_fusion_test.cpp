@@ -190,10 +190,12 @@ TEST(SightRays, FollowTheErrorModelAndAreCutWhereItEnds) {
   set(4, 7, 8, DisparityOrigin::within_segment);     // 5 m
   set(0, 0, 2, DisparityOrigin::corrected);          // 20 m: cut at 4 px = 10 m depth
   set(1, 1, 30, DisparityOrigin::between_segments);  // never used for maps
+  set(5, 1, 0.45f, DisparityOrigin::measured);       // 89 m with e = 84 m: surely free for 5 m only
+  set(5, 5, 0.0625f, DisparityOrigin::measured);     // its error exceeds its distance: says nothing
   view.world_from_cam =
       Pose(Eigen::Translation3d(1, 2, 3) * Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, 2, -1).normalized()));
   const SightRays rays = sight_rays(view, {.max_range = 100});
-  ASSERT_EQ(rays.rays.size(), 3u);
+  ASSERT_EQ(rays.rays.size(), 4u);
   const auto check = [&](const SightRay& ray, double x, double y, double d) {
     const Eigen::Vector3d point = view.world_from_cam * view.camera.point(x, y, d);
     EXPECT_LT((rays.origin + ray.direction.cast<double>() * ray.length - point).norm(), 1e-5);
@@ -205,6 +207,7 @@ TEST(SightRays, FollowTheErrorModelAndAreCutWhereItEnds) {
   check(rays.rays[2], 7, 4, 8);
   EXPECT_NEAR(rays.rays[0].end, rays.rays[0].length / 2, 1e-5);
   EXPECT_NEAR(rays.rays[1].end, rays.rays[1].length + rays.rays[1].error, 1e-5);
+  EXPECT_NEAR(rays.rays[3].end, rays.rays[3].length * (1 - 0.3 * std::sqrt(2.0) / 0.45), 1e-3);
   EXPECT_EQ(sight_rays(view, {.max_range = 3}).rays[2].end, 3.0f);
   EXPECT_EQ(sight_rays(view, {.min_error = 0.5}).rays[1].error, 0.5f);
   EXPECT_EQ(sight_rays(view, {.step = 2}).rays.size(), 1u);  // (0, 0) alone lies on even rows and columns

@@ -27,7 +27,8 @@ struct SightRays {
 };
 
 struct RayOptions {
-  double min_disparity = 4;  // [px] rays of smaller disparities are followed to the distance of this one only
+  double min_disparity = 4;  // [px] rays of smaller disparities are followed to the distance of this one only, and no
+                             // farther than it is surely free
   double pixel_error = 0.1;  // [px] dp of (4.24)
   double min_error = 0;      // [m] lower bound of e
   double max_range = 20;     // [m] rays are cut here

@@ -2,33 +2,37 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <cstring>
+#include <cstdlib>
 #include <vector>
 
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
 
-// The rows of a block are worked on in tiles of columns, so that everything between the images and the winners stays in
-// the cache: for each candidate d, with x along the vectors,
-//   columns[d][x]    sum of capped differences over the window's height, updated from row to row;
-//   window[y][d][x]  sum over the whole window, kept for the rows that SAD5 needs;
-//   cost[d][x]       SAD5 of the current row.
+// Candidates lie along the vectors: everything that a column of windows needs is then loaded from aligned addresses,
+// and a window's sum follows from the one to its left. The rows of a block are worked on in tiles of columns, so that
+// what must be kept from row to row stays in the cache; with x for the column and d for the candidate:
+//   pixels[row][x][d]   what each pixel contributes, for the rows inside of the windows (8 bits);
+//   columns[x][d]       sum over the window's height, updated from row to row;
+//   windows[row][x][d]  sum over the whole window, for the rows that SAD5 needs;
+//   costs[x][d]         SAD5 of the last kGroup columns.
+// In one go along a row, each column goes through all of these steps up to the winner.
 #ifndef IRIS_STEREO_CORRELATION_BLOCK
 #define IRIS_STEREO_CORRELATION_BLOCK
 namespace iris::stereo {
 
 inline constexpr int kMaxLanes = 32;  // 16-bit lanes used at most
+inline constexpr int kGroup = 8;      // columns after which the search from the right takes part
 
 // Rows of both images, with room beside them, and the rows of the output for rows y0 … y1 - 1.
 struct CorrelationBlock {
-  const uint8_t* left;  // pixel (0, 0)
-  const uint8_t* right;
-  ptrdiff_t left_stride, right_stride;
-  ptrdiff_t left_plane, right_plane;  // from the image to each of the three planes of its census
+  const MatchImage* left;
+  const uint8_t* right;  // pixel (0, 0); mirrored: x grows towards lower addresses
+  ptrdiff_t right_stride;
+  ptrdiff_t right_plane;  // from the image to each of the three planes of its census
   bool census;
   int width, height;
   CorrelationParameters parameters;
-  int tile;  // columns worked on together, a multiple of kMaxLanes
+  int tile;  // columns worked on together, a multiple of kGroup
   int y0, y1;
   Correlation* out;
 };
@@ -47,6 +51,7 @@ namespace iris::stereo::HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
 using Tag16 = hn::CappedTag<uint16_t, kMaxLanes>;
+using Vec16 = hn::Vec<Tag16>;
 #if HWY_TARGET == HWY_SCALAR
 using Tag8 = hn::Rebind<uint8_t, Tag16>;
 #else
@@ -54,271 +59,391 @@ using Tag8 = hn::Repartition<uint8_t, Tag16>;
 #endif
 using Vec8 = hn::Vec<Tag8>;
 
-// What one pixel contributes, for as many columns as a vector has bytes.
-struct DifferenceCost {
-  static constexpr int kPlanes = 1;
-  static HWY_INLINE Vec8 at(const uint8_t* left, const uint8_t* right, ptrdiff_t, ptrdiff_t, Vec8 cap) {
-    const Tag8 d8;
-    const auto a = hn::LoadU(d8, left), b = hn::LoadU(d8, right);
-    return hn::Min(hn::Sub(hn::Max(a, b), hn::Min(a, b)), cap);
+// What one pixel of the left image contributes at as many consecutive candidates as a vector has bytes.
+class DifferenceCost {
+ public:
+  HWY_INLINE DifferenceCost(const MatchImage& left, int y, int x, ptrdiff_t, int cap)
+      : left_(hn::Set(Tag8(), left.grey[y][x])), cap_(hn::Set(Tag8(), static_cast<uint8_t>(cap))) {}
+  HWY_INLINE Vec8 at(const uint8_t* right) const {
+    const auto b = hn::LoadU(Tag8(), right);
+    return hn::Min(hn::Sub(hn::Max(left_, b), hn::Min(left_, b)), cap_);
   }
+
+ private:
+  Vec8 left_, cap_;
 };
-struct CensusCost {
-  static constexpr int kPlanes = 4;
-  static HWY_INLINE Vec8 at(const uint8_t* left, const uint8_t* right, ptrdiff_t left_plane, ptrdiff_t right_plane,
-                            Vec8 cap) {
+
+class CensusCost {
+ public:
+  HWY_INLINE CensusCost(const MatchImage& left, int y, int x, ptrdiff_t right_plane, int cap)
+      : difference_(left, y, x, right_plane, cap),
+        a_(hn::Set(Tag8(), left.census[0][y][x])),
+        b_(hn::Set(Tag8(), left.census[1][y][x])),
+        c_(hn::Set(Tag8(), left.census[2][y][x])),
+        right_plane_(right_plane) {}
+  HWY_INLINE Vec8 at(const uint8_t* right) const {
     const Tag8 d8;
-    const auto difference = DifferenceCost::at(left, right, 0, 0, cap);
-    const auto bits = [&](int plane) {
-      return hn::Xor(hn::LoadU(d8, left + plane * left_plane), hn::LoadU(d8, right + plane * right_plane));
-    };
+    const auto difference = difference_.at(right);
     // A full adder for each bit of the three bytes leaves two to be counted instead of three.
-    const auto a = bits(1), b = bits(2), c = bits(3);
+    const auto a = hn::Xor(a_, hn::LoadU(d8, right + right_plane_));
+    const auto b = hn::Xor(b_, hn::LoadU(d8, right + 2 * right_plane_));
+    const auto c = hn::Xor(c_, hn::LoadU(d8, right + 3 * right_plane_));
     const auto half = hn::Xor(a, b);
-    const auto ones = hn::PopulationCount(hn::Xor(half, c));
-    const auto twos = hn::PopulationCount(hn::Or(hn::And(a, b), hn::And(half, c)));
-    const auto count = hn::Add(ones, hn::Add(twos, twos));
-    const auto count2 = hn::Add(count, count);
-    static_assert(kCensusWeight == 5 && kGreyWeight == 2);
-    return hn::Add(hn::Add(count, hn::Add(count2, count2)), hn::Add(difference, difference));
+    const auto ones = hn::Xor(half, c);
+    const auto twos = hn::Or(hn::And(a, b), hn::And(half, c));
+    return hn::Add(hn::Add(weighted(ones, kOnes), weighted(twos, kTwos)), hn::Add(difference, difference));
   }
+
+ private:
+  static_assert(kGreyWeight == 2);
+#if HWY_TARGET == HWY_SCALAR
+  static constexpr int kOnes = kCensusWeight, kTwos = 2 * kCensusWeight;
+  static HWY_INLINE Vec8 weighted(Vec8 bits, int weight) {
+    const Tag8 d8;
+    return hn::Set(d8, static_cast<uint8_t>(weight * hn::GetLane(hn::PopulationCount(bits))));
+  }
+#else
+  // Weight times the number of bits of each half of a byte.
+  static constexpr int kOne = kCensusWeight, kTwo = 2 * kOne;
+  alignas(16) static constexpr uint8_t kOnes[16] = {0,        kOne,     kOne,     2 * kOne, kOne,     2 * kOne,
+                                                    2 * kOne, 3 * kOne, kOne,     2 * kOne, 2 * kOne, 3 * kOne,
+                                                    2 * kOne, 3 * kOne, 3 * kOne, 4 * kOne};
+  alignas(16) static constexpr uint8_t kTwos[16] = {0,        kTwo,     kTwo,     2 * kTwo, kTwo,     2 * kTwo,
+                                                    2 * kTwo, 3 * kTwo, kTwo,     2 * kTwo, 2 * kTwo, 3 * kTwo,
+                                                    2 * kTwo, 3 * kTwo, 3 * kTwo, 4 * kTwo};
+  static HWY_INLINE Vec8 weighted(Vec8 bits, const uint8_t* table) {
+    const Tag8 d8;
+    const hn::Repartition<uint16_t, Tag8> wide;
+    const auto weights = hn::LoadDup128(d8, table);
+    const auto low = hn::Set(d8, uint8_t{15});
+    const auto high_bits = hn::And(hn::BitCast(d8, hn::ShiftRight<4>(hn::BitCast(wide, bits))), low);
+    return hn::Add(hn::TableLookupBytes(weights, hn::And(bits, low)), hn::TableLookupBytes(weights, high_bits));
+  }
+#endif
+  DifferenceCost difference_;
+  Vec8 a_, b_, c_;
+  ptrdiff_t right_plane_;
 };
 
-// One row of both images at one candidate.
-struct RowPair {
-  const uint8_t* left;
-  const uint8_t* right;
+template <class D>
+HWY_INLINE uint16_t lowest_lane(D d, hn::Vec<D> v) {
+#if !HWY_HAVE_SCALABLE && HWY_TARGET != HWY_SCALAR
+  if constexpr (hn::MaxLanes(D()) > 8) {
+    const hn::Half<D> half;
+    return lowest_lane(half, hn::Min(hn::LowerHalf(half, v), hn::UpperHalf(half, v)));
+  }
+#endif
+  return hn::GetLane(hn::MinOfLanes(d, v));
+}
+
+// The windows of one pixel, at all candidates.
+struct Windows {
+  const uint16_t *middle, *upper_left, *upper_right, *lower_left, *lower_right;
 };
 
-// sums += costs of the row that enters the window - costs of the row that leaves it (if there is one).
-template <class Cost, bool kLeaves>
-HWY_INLINE void move_columns(const CorrelationBlock& block, RowPair enters, RowPair leaves, int n, uint16_t* sums) {
+// What remains of the costs of one pixel: for each lane the lowest two and the candidate of the lowest.
+struct Lowest {
+  alignas(2 * kMaxLanes) uint16_t best[kMaxLanes];
+  alignas(2 * kMaxLanes) uint16_t second[kMaxLanes];
+  alignas(2 * kMaxLanes) uint16_t best_d[kMaxLanes];
+};
+
+// C0 + the two lowest of the four supporting windows (3.1). The two lowest are either both upper, both lower, or the
+// lower one of each: four comparisons (A.3). Sums saturate: kNone stays kNone. no_candidate: kNone where the candidate
+// does not exist, 0 elsewhere.
+HWY_INLINE void sad5(const Windows windows, const uint16_t* HWY_RESTRICT no_candidate, int end,
+                     uint16_t* HWY_RESTRICT cost, Lowest* HWY_RESTRICT lowest) {
+  const Tag16 d16;
+  const int lanes = static_cast<int>(hn::Lanes(d16));
+  const auto step = hn::Set(d16, static_cast<uint16_t>(lanes));
+  auto best = hn::Set(d16, Correlation::kNone);
+  auto second = best, best_d = best, vd = hn::Iota(d16, 0);
+  for (int d = 0; d < end; d += lanes) {
+    const auto a = hn::Load(d16, windows.upper_left + d), b = hn::Load(d16, windows.upper_right + d);
+    const auto c = hn::Load(d16, windows.lower_left + d), e = hn::Load(d16, windows.lower_right + d);
+    const auto mixed = hn::SaturatedAdd(hn::Min(a, b), hn::Min(c, e));
+    const auto two = hn::Min(hn::Min(hn::SaturatedAdd(a, b), hn::SaturatedAdd(c, e)), mixed);
+    const auto sum = hn::Or(hn::SaturatedAdd(hn::Load(d16, windows.middle + d), two), hn::LoadU(d16, no_candidate + d));
+    hn::Store(sum, d16, cost + d);
+    const auto lower = hn::Min(best, sum);
+    second = hn::Min(second, hn::Max(best, sum));
+    best_d = hn::IfThenElse(hn::Eq(lower, best), best_d, vd);
+    best = lower;
+    vd = hn::Add(vd, step);
+  }
+  hn::Store(best, d16, lowest->best);
+  hn::Store(second, d16, lowest->second);
+  hn::Store(best_d, d16, lowest->best_d);
+}
+
+struct Selected {
+  uint16_t winner, cost, second;
+};
+
+// Winner, its cost and the second minimum (3.4). The winner and its neighbours are in different lanes: in each of the
+// three, it is the second lowest cost that counts if the lowest is that of the winner or its neighbour.
+HWY_INLINE Selected select_left(const Lowest& lowest, const uint16_t* cost, int end) {
+  const Tag16 d16;
+  const auto none = hn::Set(d16, Correlation::kNone);
+  const auto best = hn::Load(d16, lowest.best), best_d = hn::Load(d16, lowest.best_d);
+  Selected out;
+  out.cost = lowest_lane(d16, best);
+  out.winner = lowest_lane(d16, hn::IfThenElse(hn::Eq(best, hn::Set(d16, out.cost)), best_d, none));
+  if (hn::Lanes(d16) < 3) {
+    out.second = Correlation::kNone;
+    for (int d = 0; d < end; ++d) {
+      if (std::abs(d - out.winner) > 1) out.second = std::min(out.second, cost[d]);
+    }
+    return out;
+  }
+  const auto from_before = hn::Sub(best_d, hn::Set(d16, static_cast<uint16_t>(out.winner - 1)));
+  const auto near = hn::Eq(hn::Min(from_before, hn::Set(d16, uint16_t{2})), from_before);
+  out.second = lowest_lane(d16, hn::IfThenElse(near, hn::Load(d16, lowest.second), best));
+  return out;
+}
+
+// The search from the right image, as far as kGroup columns of the left one take part in it: right pixels lie along
+// the vectors as the candidates do in the first of the columns, and meet the next candidate in the next column.
+HWY_INLINE void search_right(const uint16_t* cost, ptrdiff_t cost_stride, int begin, int end, uint16_t* best,
+                             uint16_t* best_d) {
+  const Tag16 d16;
+  const auto one = hn::Set(d16, uint16_t{1});
+  for (int i = begin; i < end; i += static_cast<int>(hn::Lanes(d16))) {
+    auto b = hn::LoadU(d16, best + i);
+    auto bd = hn::LoadU(d16, best_d + i);
+    auto d = hn::Iota(d16, static_cast<uint16_t>(i));
+    for (int k = 0; k < kGroup; ++k) {
+      const auto lower = hn::Min(b, hn::LoadU(d16, cost + i + k * (cost_stride + 1)));
+      bd = hn::IfThenElse(hn::Eq(lower, b), bd, d);
+      b = lower;
+      d = hn::Add(d, one);
+    }
+    hn::StoreU(b, d16, best + i);
+    hn::StoreU(bd, d16, best_d + i);
+  }
+}
+
+// Where the sums of one column are, at all candidates.
+struct Column {
+  const uint8_t* right;       // at the first candidate
+  uint8_t* pixel;             // contributions of the row that leaves the window; replaced by those that enter
+  uint16_t* sums;             // over the window's height
+  const uint16_t* leaves;     // sums of the column that leaves the window
+  uint16_t* running;          // sums over the window one column before
+  uint16_t* window;           // sums over the window
+  const uint8_t* from_first;  // masks of the existing candidates
+  const uint8_t* to_last;
+};
+
+template <bool kMasked, bool kWindows, class Cost>
+HWY_INLINE void move_column(const Cost& cost, const Column c, int end) {
   const Tag16 d16;
   const Tag8 d8;
   const hn::Rebind<uint8_t, Tag16> half8;
-  const auto cap = hn::Set(d8, static_cast<uint8_t>(block.parameters.cap));
-  const auto add = [&](hn::Vec<decltype(half8)> in, hn::Vec<decltype(half8)> out, uint16_t* to) {
-    auto sum = hn::Add(hn::LoadU(d16, to), hn::PromoteTo(d16, in));
-    if (kLeaves) sum = hn::Sub(sum, hn::PromoteTo(d16, out));
-    hn::StoreU(sum, d16, to);
+  uint16_t* HWY_RESTRICT const sums = c.sums;
+  uint16_t* HWY_RESTRICT const running = c.running;
+  uint16_t* HWY_RESTRICT const window = c.window;
+  const auto update = [&](hn::Vec<decltype(half8)> in, hn::Vec<decltype(half8)> out, int d) {
+    const auto sum = hn::Sub(hn::Add(hn::Load(d16, sums + d), hn::PromoteTo(d16, in)), hn::PromoteTo(d16, out));
+    hn::Store(sum, d16, sums + d);
+    if constexpr (kWindows) {
+      const auto whole = hn::Add(hn::Load(d16, running + d), hn::Sub(sum, hn::Load(d16, c.leaves + d)));
+      hn::Store(whole, d16, running + d);
+      hn::Store(whole, d16, window + d);
+    }
   };
-  for (int i = 0; i < n; i += static_cast<int>(hn::Lanes(d8))) {
-    const auto in = Cost::at(enters.left + i, enters.right + i, block.left_plane, block.right_plane, cap);
-    auto out = in;
-    if (kLeaves) out = Cost::at(leaves.left + i, leaves.right + i, block.left_plane, block.right_plane, cap);
+  for (int d = 0; d < end; d += static_cast<int>(hn::Lanes(d8))) {
+    auto in = cost.at(c.right + d);
+    if constexpr (kMasked) in = hn::And(in, hn::And(hn::LoadU(d8, c.from_first + d), hn::LoadU(d8, c.to_last + d)));
+    const auto out = hn::Load(d8, c.pixel + d);
+    hn::Store(in, d8, c.pixel + d);
 #if HWY_TARGET == HWY_SCALAR
-    add(in, out, sums + i);
+    update(in, out, d);
 #else
-    add(hn::LowerHalf(half8, in), hn::LowerHalf(half8, out), sums + i);
-    add(hn::UpperHalf(half8, in), hn::UpperHalf(half8, out), sums + i + hn::Lanes(d16));
+    const int lanes = static_cast<int>(hn::Lanes(d16));
+    update(hn::LowerHalf(half8, in), hn::LowerHalf(half8, out), d);
+    if (d + lanes < end) update(hn::UpperHalf(half8, in), hn::UpperHalf(half8, out), d + lanes);
 #endif
-  }
-}
-
-// out[i] = in[i] + … + in[i + 2 half], by way of sums of pairs. kHalf = 0: any.
-template <int kHalf>
-HWY_INLINE void box_row(const uint16_t* in, int half, int n, uint16_t* pairs, uint16_t* out) {
-  const Tag16 d16;
-  const int lanes = static_cast<int>(hn::Lanes(d16));
-  if (kHalf != 0) half = kHalf;
-  for (int i = 0; i < n + 2 * half - 2; i += lanes) {
-    hn::StoreU(hn::Add(hn::LoadU(d16, in + i), hn::LoadU(d16, in + i + 1)), d16, pairs + i);
-  }
-  for (int i = 0; i < n; i += lanes) {
-    auto sum = hn::LoadU(d16, in + i + 2 * half);
-    for (int k = 0; k < half; ++k) sum = hn::Add(sum, hn::LoadU(d16, pairs + i + 2 * k));
-    hn::StoreU(sum, d16, out + i);
-  }
-}
-
-// C0 + the two lowest of the four supporting windows (3.1). The two lowest are either both upper, both lower, or the
-// lower one of each: four comparisons (A.3). Sums saturate: kNone stays kNone.
-HWY_INLINE void sad5_row(const uint16_t* middle, const uint16_t* upper, const uint16_t* lower, int offset, int n,
-                         uint16_t* cost) {
-  const Tag16 d16;
-  const int lanes = static_cast<int>(hn::Lanes(d16));
-  for (int i = 0; i < n; i += lanes) {
-    const auto a = hn::LoadU(d16, upper + i), b = hn::LoadU(d16, upper + i + 2 * offset);
-    const auto c = hn::LoadU(d16, lower + i), e = hn::LoadU(d16, lower + i + 2 * offset);
-    const auto mixed = hn::SaturatedAdd(hn::Min(a, b), hn::Min(c, e));
-    const auto two = hn::Min(hn::Min(hn::SaturatedAdd(a, b), hn::SaturatedAdd(c, e)), mixed);
-    hn::StoreU(hn::SaturatedAdd(hn::LoadU(d16, middle + i + offset), two), d16, cost + i);
-  }
-}
-
-// Winner, its cost and the second minimum (3.4) for each column of the tile. In ascending order of d, the lowest cost
-// up to d - 2 is known whenever a new winner appears.
-HWY_INLINE void select_left(const uint16_t* cost, ptrdiff_t stride, int disparities, int n, uint16_t* winner,
-                            uint16_t* winner_cost, uint16_t* second) {
-  const Tag16 d16;
-  const hn::RebindToSigned<Tag16> di16;
-  const int lanes = static_cast<int>(hn::Lanes(d16));
-  const auto none = hn::Set(d16, Correlation::kNone);
-  const auto one = hn::Set(di16, 1);
-  for (int i = 0; i < n; i += lanes) {
-    auto best = none, second_best = none, best_d = none;
-    auto until_1 = none, until_2 = none;  // lowest cost up to d - 1 and d - 2
-    const uint16_t* p = cost + i;
-    for (int d = 0; d < disparities; ++d, p += stride) {
-      const auto c = hn::LoadU(d16, p);
-      const auto vd = hn::Set(d16, static_cast<uint16_t>(d));
-      const auto lower = hn::Min(best, c);
-      const auto keep = hn::Eq(lower, best);
-      // best_d = 65535 before the first winner: d + 1 > 1 counts as far, but all costs so far were kNone.
-      const auto far = hn::RebindMask(d16, hn::Gt(hn::BitCast(di16, hn::Sub(vd, best_d)), one));
-      const auto candidate = hn::IfThenElse(far, c, none);
-      second_best = hn::IfThenElse(keep, hn::Min(second_best, candidate), until_2);
-      best_d = hn::IfThenElse(keep, best_d, vd);
-      best = lower;
-      until_2 = until_1;
-      until_1 = best;
-    }
-    hn::StoreU(best_d, d16, winner + i);
-    hn::StoreU(best, d16, winner_cost + i);
-    hn::StoreU(second_best, d16, second + i);
-  }
-}
-
-// The search from the right image, as far as this tile takes part in it: pixel k of the right image meets column
-// k + min_disparity + d of the left one. cost has kMaxLanes columns of kNone on both sides of the tile.
-HWY_INLINE void select_right(const uint16_t* cost, ptrdiff_t stride, const CorrelationBlock& block, int disparities,
-                             int x0, int x1, uint16_t* best, uint16_t* best_d) {
-  const Tag16 d16;
-  const int lanes = static_cast<int>(hn::Lanes(d16));
-  const int min_disparity = block.parameters.min_disparity;
-  for (int k = 0; k < block.width; k += lanes) {
-    const int x = k + min_disparity;
-    const int d_begin = std::max(0, x0 - lanes + 1 - x), d_end = std::min(disparities, x1 - x);
-    if (d_begin >= d_end) continue;
-    auto b = hn::LoadU(d16, best + k);
-    auto bd = hn::LoadU(d16, best_d + k);
-    const uint16_t* p = cost + (x + d_begin - x0) + d_begin * stride;
-    for (int d = d_begin; d < d_end; ++d, p += stride + 1) {
-      const auto lower = hn::Min(b, hn::LoadU(d16, p));
-      bd = hn::IfThenElse(hn::Eq(lower, b), bd, hn::Set(d16, static_cast<uint16_t>(d)));
-      b = lower;
-    }
-    hn::StoreU(b, d16, best + k);
-    hn::StoreU(bd, d16, best_d + k);
   }
 }
 
 template <class Cost>
 void correlate_rows(const CorrelationBlock& block) {
   const CorrelationParameters& p = block.parameters;
-  const int lanes = static_cast<int>(hn::Lanes(Tag16()));
+  const Tag16 d16;
+  const Tag8 d8;
+  const int lanes = static_cast<int>(hn::Lanes(d16)), lanes8 = static_cast<int>(hn::Lanes(d8));
   const int rx = p.window_width / 2, ry = p.window_height / 2;
-  const int n_window = (block.tile + 2 * rx + lanes - 1) / lanes * lanes;
-  const int n_columns = (n_window + 2 * rx + 2 * lanes - 1) / (2 * lanes) * (2 * lanes);
   const int ring = 2 * ry + 1;
-  // Strides that are no multiple of a page keep the candidates of one pixel out of one cache set.
-  const ptrdiff_t column_stride = n_columns + kMaxLanes;
-  const ptrdiff_t window_stride = n_window + kMaxLanes;
-  const ptrdiff_t cost_stride = block.tile + 2 * kMaxLanes;
-  const size_t ring_stride = window_stride * p.disparities;
-  const auto columns = hwy::AllocateAligned<uint16_t>(column_stride * p.disparities);
+  const ptrdiff_t stride = (p.disparities + lanes - 1) / lanes * lanes;      // of 16-bit values, per column
+  const ptrdiff_t stride8 = (p.disparities + lanes8 - 1) / lanes8 * lanes8;  // of bytes
+  const int n_columns = block.tile + 4 * rx, n_windows = block.tile + 2 * rx;
+  const ptrdiff_t ring_stride = stride * n_windows, ring_stride8 = stride8 * n_columns;
+  const ptrdiff_t cost_stride = stride + 2 * kMaxLanes;
+  const auto pixels = hwy::AllocateAligned<uint8_t>(ring_stride8 * ring);
+  const auto columns_store = hwy::AllocateAligned<uint16_t>(stride * (n_columns + 2 * rx + 1));
+  uint16_t* const columns = columns_store.get() + stride * (2 * rx + 1);  // zeros before it
   const auto windows = hwy::AllocateAligned<uint16_t>(ring_stride * ring);
-  const auto costs = hwy::AllocateAligned<uint16_t>(cost_stride * p.disparities);
-  const auto pairs = hwy::AllocateAligned<uint16_t>(column_stride);
-  const auto selected = hwy::AllocateAligned<uint16_t>(3 * static_cast<size_t>(block.tile));
-  uint16_t* const winner = selected.get();
-  uint16_t* const winner_cost = winner + block.tile;
-  uint16_t* const second = winner_cost + block.tile;
-  // State of the search from the right, for every row of the block.
-  const int right_stride = block.width + kMaxLanes;
+  const auto unused = hwy::AllocateAligned<uint16_t>(stride);  // windows that nobody asks for
+  const auto running = hwy::AllocateAligned<uint16_t>(stride);
+  const auto costs_store = hwy::AllocateAligned<uint16_t>(cost_stride * (kGroup + 1));
+  uint16_t* const costs = costs_store.get() + kMaxLanes;
+  std::fill(costs - kMaxLanes, costs - kMaxLanes + cost_stride * (kGroup + 1), Correlation::kNone);
+  // Masks: all bits set from index stride8 to 2 stride8; kNone from index `disparities`.
+  std::vector<uint8_t> mask(3 * stride8 + lanes8, 0);
+  std::fill(mask.begin() + stride8, mask.begin() + 2 * stride8, uint8_t{255});
+  std::vector<uint16_t> no_candidate(stride, 0);
+  std::fill(no_candidate.begin() + p.disparities, no_candidate.end(), Correlation::kNone);
+  // State of the search from the right, for every row of the block. Mirrored: pixel x has index right_origin - x.
+  const int right_origin = block.width + std::abs(p.min_disparity) + 2 * kMaxLanes;
+  const ptrdiff_t right_stride = right_origin + std::abs(p.min_disparity) + stride + 2 * kMaxLanes;
   const size_t right_size = static_cast<size_t>(right_stride) * (block.y1 - block.y0);
   std::vector<uint16_t> right_best(right_size, Correlation::kNone), right_d(right_size, Correlation::kNone);
-  std::fill(costs.get(), costs.get() + cost_stride * p.disparities, Correlation::kNone);
+
+  // Candidates first … last have a partner for column x of the image. Others are beyond either side.
+  const auto first_candidate = [&](int x) {
+    return std::clamp(x - p.min_disparity - (block.width - 1), 0, p.disparities);
+  };
+  const auto last_candidate = [&](int x) { return std::clamp(x - p.min_disparity, -1, p.disparities - 1); };
+  // All candidates of the columns up to x are before this one.
+  std::vector<int> candidates_end(block.width + 2 * rx + block.tile);
+  for (int x = 0; x < static_cast<int>(candidates_end.size()); ++x) {
+    candidates_end[x] = (last_candidate(std::min(x, block.width - 1)) + lanes) / lanes * lanes;
+  }
+  std::vector<int> slot(block.height + 2 * ry);  // of row - ry in the rings
+  for (int i = 0; i < static_cast<int>(slot.size()); ++i) slot[i] = i % ring;
+  Lowest lowest[kGroup];
 
   for (int x0 = 0; x0 < block.width; x0 += block.tile) {
     const int x1 = std::min(x0 + block.tile, block.width);
-    const int disparities =
-        std::clamp(x1 - p.min_disparity, 0, p.disparities);  // others have no partner for any column
     const int x_columns = x0 - 2 * rx, x_windows = x0 - rx;  // image column of index 0
+    std::fill(pixels.get(), pixels.get() + ring_stride8 * ring, uint8_t{0});
+    std::fill(columns_store.get(), columns + stride * n_columns, uint16_t{0});
+    std::fill(windows.get(), windows.get() + ring_stride * ring, Correlation::kNone);
 
-    // Sums over whole windows of row y for all candidates; the columns' sums are moved there from row y - 1 or, for
-    // the first row, built.
-    const auto window_row = [&](int y, bool first) {
-      for (int d = 0; d < disparities; ++d) {
-        uint16_t* sums = columns.get() + column_stride * d;
-        const auto rows = [&](int row) {
-          const int inside = std::clamp(row, 0, block.height - 1);
-          return RowPair{block.left + block.left_stride * inside + x_columns,
-                         block.right + block.right_stride * inside + x_columns - p.min_disparity - d};
-        };
-        if (first) {
-          std::fill(sums, sums + n_columns, uint16_t{0});
-          for (int k = -ry; k <= ry; ++k) move_columns<Cost, false>(block, rows(y + k), {}, n_columns, sums);
-        } else {
-          move_columns<Cost, true>(block, rows(y + ry), rows(y - ry - 1), n_columns, sums);
-        }
-        // Columns a … b have a partner; the others must not contribute.
-        const int a = std::max(0, p.min_disparity + d);
-        const int b = std::min(block.width - 1, block.width - 1 + p.min_disparity + d);
-        const int zero_end = std::clamp(a - x_columns, 0, n_columns);
-        const int zero_begin = std::clamp(b + 1 - x_columns, zero_end, n_columns);
-        std::fill(sums, sums + zero_end, uint16_t{0});
-        std::fill(sums + zero_begin, sums + n_columns, uint16_t{0});
-
-        uint16_t* out = windows.get() + ring_stride * (y % ring) + window_stride * d;
-        switch (rx) {
-          case 3:
-            box_row<3>(sums, rx, n_window, pairs.get(), out);
-            break;
-          case 4:
-            box_row<4>(sums, rx, n_window, pairs.get(), out);
-            break;
-          default:
-            box_row<0>(sums, rx, n_window, pairs.get(), out);
-        }
-        const auto scale = [&](int x) {  // a cut window
-          const unsigned visible = std::min(x + rx, b) - std::max(x - rx, a) + 1;
-          uint16_t& sum = out[x - x_windows];
-          sum = static_cast<uint16_t>(sum * static_cast<unsigned>(p.window_width) / visible);
-        };
-        const int begin = x_windows, end = x_windows + n_window;
-        const int inner_begin = std::max(a + rx, begin), inner_end = std::min(b - rx + 1, end);
-        for (int x = std::max(a, begin); x <= std::min({b, inner_begin - 1, end - 1}); ++x) scale(x);
-        for (int x = std::max({inner_begin, inner_end, a, begin}); x <= std::min(b, end - 1); ++x) scale(x);
-        std::fill(out, out + std::clamp(a - begin, 0, n_window), Correlation::kNone);
-        std::fill(out + std::clamp(b + 1 - begin, 0, n_window), out + n_window, Correlation::kNone);
+    // The sums of column x for the windows of the row above become those of the row whose windows end at image row
+    // `row`. If kWindows, the sums of the windows that end at column x go to `window`.
+    const auto move = [&]<bool kWindows>(int row, int x, uint16_t* window) {
+      const int inside = std::clamp(row, 0, block.height - 1);
+      const Cost cost(*block.left, inside, x, block.right_plane, p.cap);
+      uint16_t* const sums = columns + stride * (x - x_columns);
+      const int first = first_candidate(x), last = last_candidate(x);
+      const Column column = {.right = block.right + block.right_stride * inside - (x - p.min_disparity),
+                             .pixel = pixels.get() + ring_stride8 * slot[row + ry] + stride8 * (x - x_columns),
+                             .sums = sums,
+                             .leaves = sums - stride * (2 * rx + 1),
+                             .running = running.get(),
+                             .window = window,
+                             .from_first = mask.data() + stride8 - first,
+                             .to_last = mask.data() + 2 * stride8 - (last + 1)};
+      if (first == 0 && last == p.disparities - 1) {
+        move_column<false, kWindows>(cost, column, candidates_end[x]);
+      } else {
+        move_column<true, kWindows>(cost, column, candidates_end[x]);
       }
     };
 
-    const int first_row = std::max(0, block.y0 - ry);
-    for (int y_window = first_row; y_window < block.y1 + ry; ++y_window) {
-      if (y_window < block.height) window_row(y_window, y_window == first_row);
-      const int y = y_window - ry;
-      if (y < block.y0) continue;
-      const auto window = [&](int row, int d) {
-        return windows.get() + ring_stride * (std::clamp(row, 0, block.height - 1) % ring) + window_stride * d;
-      };
-      uint16_t* const cost = costs.get() + kMaxLanes;
-      for (int d = 0; d < disparities; ++d) {
-        uint16_t* row = cost + cost_stride * d;
-        sad5_row(window(y, d), window(y - ry, d), window(y + ry, d), rx, block.tile, row);
+    // Sums over the windows of row y that end at column x_end.
+    const auto window_column = [&](int y, int x_end) {
+      const int x = x_end - rx;
+      const bool wanted = x >= x_windows && x >= 0 && x < block.width;
+      uint16_t* const window =
+          wanted ? windows.get() + ring_stride * slot[y + ry] + stride * (x - x_windows) : unused.get();
+      const int end = candidates_end[x_end];
+      if (x_end >= block.width) {
+        const uint16_t* const leaves = columns + stride * (x_end - x_columns - (2 * rx + 1));
+        for (int d = 0; d < end; d += lanes) {
+          const auto whole = hn::Sub(hn::Load(d16, running.get() + d), hn::Load(d16, leaves + d));
+          hn::Store(whole, d16, running.get() + d);
+          hn::Store(whole, d16, window + d);
+        }
+      } else {
+        move.template operator()<true>(y + ry, x_end, window);
       }
-      select_left(cost, cost_stride, disparities, block.tile, winner, winner_cost, second);
-      const size_t right_row = static_cast<size_t>(right_stride) * (y - block.y0);
-      select_right(cost, cost_stride, block, disparities, x0, x1, &right_best[right_row], &right_d[right_row]);
+      if (!wanted) return;
+      const int first = first_candidate(x), last = last_candidate(x);
+      const auto scale = [&](int d) {  // a cut window
+        const int a = std::max(0, p.min_disparity + d);
+        const int b = std::min(block.width - 1, block.width - 1 + p.min_disparity + d);
+        const int visible = std::min(x + rx, b) - std::max(x - rx, a) + 1;
+        // Truncation is exact: the dividend has less than 24 bits, and no fraction is close enough to 1 to be rounded
+        // up.
+        const float sum = static_cast<float>(window[d] * p.window_width);
+        window[d] = static_cast<uint16_t>(static_cast<int>(sum / static_cast<float>(visible)));
+      };
+      // Not cut: those that have a partner for both ends of the window.
+      const bool inside = x >= rx && x + rx < block.width;
+      const int whole_begin = inside ? std::clamp(first_candidate(x + rx), first, last + 1) : last + 1;
+      const int whole_end = inside ? std::clamp(last_candidate(x - rx) + 1, whole_begin, last + 1) : last + 1;
+      for (int d = first; d < whole_begin; ++d) scale(d);
+      for (int d = whole_end; d <= last; ++d) scale(d);
+      std::fill(window, window + std::min(first, end), Correlation::kNone);
+      if (last + 1 < p.disparities) std::fill(window + last + 1, window + end, Correlation::kNone);
+    };
 
-      const int n = x1 - x0;
-      std::memcpy(block.out->winner[y] + x0, winner, n * sizeof(uint16_t));
-      std::memcpy(block.out->cost[y] + x0, winner_cost, n * sizeof(uint16_t));
-      std::memcpy(block.out->second[y] + x0, second, n * sizeof(uint16_t));
-      uint16_t* const before = block.out->before[y] + x0;
-      uint16_t* const after = block.out->after[y] + x0;
-      for (int i = 0; i < n; ++i) {
-        const uint16_t* at = cost + i + cost_stride * winner[i];
-        const bool found = winner[i] != Correlation::kNone;
-        before[i] = found && winner[i] > 0 ? at[-cost_stride] : Correlation::kNone;
-        after[i] = found && winner[i] + 1 < disparities ? at[cost_stride] : Correlation::kNone;
+    const auto window_row = [&](int row) {
+      return windows.get() + ring_stride * slot[std::clamp(row, 0, block.height - 1) + ry];
+    };
+    // The pixels x … x_end - 1 of a group.
+    const auto select = [&](int y, int x, int x_end) {
+      const int end = candidates_end[x_end - 1];
+      uint16_t* HWY_RESTRICT const winner_row = block.out->winner[y];
+      uint16_t* HWY_RESTRICT const cost_row = block.out->cost[y];
+      uint16_t* HWY_RESTRICT const second_row = block.out->second[y];
+      uint16_t* HWY_RESTRICT const before_row = block.out->before[y];
+      uint16_t* HWY_RESTRICT const after_row = block.out->after[y];
+      for (int i = 0; i < kGroup; ++i) {
+        const int known = x + i < x_end ? candidates_end[x + i] : 0;
+        if (known < stride) {
+          std::fill(costs + cost_stride * i + known, costs + cost_stride * i + stride, Correlation::kNone);
+        }
+      }
+      for (int i = 0; i < x_end - x; ++i) {
+        const uint16_t* const cost = costs + cost_stride * i;
+        const Selected selected = select_left(lowest[i], cost, candidates_end[x + i]);
+        const bool found = selected.winner != Correlation::kNone;
+        winner_row[x + i] = selected.winner;
+        cost_row[x + i] = selected.cost;
+        second_row[x + i] = selected.second;
+        before_row[x + i] = found ? cost[selected.winner - 1] : Correlation::kNone;
+        after_row[x + i] = found ? cost[selected.winner + 1] : Correlation::kNone;
+      }
+      const ptrdiff_t at = right_stride * (y - block.y0) + right_origin - x + p.min_disparity;
+      search_right(costs, cost_stride, -(kGroup + lanes - 2) / lanes * lanes, end, &right_best[at], &right_d[at]);
+    };
+
+    const int first_row = std::max(0, block.y0 - ry);
+    for (int row = first_row - ry; row < first_row + ry; ++row) {
+      for (int x = std::max(0, x_columns); x < std::min(x1 + 2 * rx, block.width); ++x) {
+        move.template operator()<false>(row, x, nullptr);
+      }
+    }
+    for (int y_windows = first_row; y_windows < block.y1 + ry; ++y_windows) {
+      const int y = y_windows - ry;
+      const uint16_t* const middle = window_row(y);
+      const uint16_t* const upper = window_row(y - ry);
+      const uint16_t* const lower = window_row(y + ry);
+      std::fill(running.get(), running.get() + stride, uint16_t{0});
+      for (int x_end = std::max(0, x_columns); x_end < x1 + 2 * rx; ++x_end) {
+        if (y_windows < block.height) window_column(y_windows, x_end);
+        const int x = x_end - 2 * rx;
+        if (y < block.y0 || x < x0) continue;
+        const int in_group = (x - x0) % kGroup;
+        const ptrdiff_t left_side = stride * (x - x0), right_side = left_side + 2 * rx * stride;
+        const Windows around = {.middle = middle + left_side + rx * stride,
+                                .upper_left = upper + left_side,
+                                .upper_right = upper + right_side,
+                                .lower_left = lower + left_side,
+                                .lower_right = lower + right_side};
+        sad5(around, no_candidate.data(), candidates_end[x], costs + cost_stride * in_group, &lowest[in_group]);
+        if (in_group == kGroup - 1 || x == x1 - 1) select(y, x - in_group, x + 1);
       }
     }
   }
   for (int y = block.y0; y < block.y1; ++y) {
-    std::memcpy(block.out->right_winner[y], &right_d[static_cast<size_t>(right_stride) * (y - block.y0)],
-                block.width * sizeof(uint16_t));
+    const uint16_t* const from = &right_d[right_stride * (y - block.y0) + right_origin];
+    uint16_t* const to = block.out->right_winner[y];
+    for (int x = 0; x < block.width; ++x) to[x] = from[-x];
   }
 }
 
@@ -340,22 +465,23 @@ HWY_EXPORT(correlate_block);
 
 namespace {
 
-// Copies of an image and, if wanted, of its census, with `before` and `after` columns of room on the sides.
-struct Padded {
+// Copies of an image and, if wanted, of its census, each row mirrored, with `before` and `after` bytes of room.
+struct Mirrored {
   ptrdiff_t stride, plane;
   std::vector<uint8_t> bytes;
   const uint8_t* origin;
 
-  Padded(const MatchImage& image, int before, int after)
+  Mirrored(const MatchImage& image, int before, int after)
       : stride(image.grey.cols + before + after),
         plane(stride * image.grey.rows),
         bytes(static_cast<size_t>(plane) * (image.census[0].empty() ? 1 : 4)),
-        origin(bytes.data() + before) {
+        origin(bytes.data() + before + image.grey.cols - 1) {
     for (int y = 0; y < image.grey.rows; ++y) {
       uint8_t* row = bytes.data() + before + y * stride;
-      std::copy_n(image.grey[y], image.grey.cols, row);
+      std::reverse_copy(image.grey[y], image.grey[y] + image.grey.cols, row);
       for (int i = 0; i < 3 && !image.census[0].empty(); ++i) {
-        std::copy_n(image.census[i][y], image.grey.cols, row + (i + 1) * plane);
+        const uint8_t* const bits = image.census[i][y];
+        std::reverse_copy(bits, bits + image.grey.cols, row + (i + 1) * plane);
       }
     }
   }
@@ -379,29 +505,23 @@ Correlation correlate(const MatchImage& left, const MatchImage& right, const Cor
   IRIS_CHECK(p.disparities > 0 && p.window_width % 2 == 1 && p.window_height % 2 == 1);
   IRIS_CHECK(p.cap >= 0 && p.cap <= largest_cap(p.window_width, p.window_height, census));
   constexpr int kRowsPerBlock = 64;
-  constexpr int kCacheBytes = 640 << 10;  // of the windows, the largest part of what a tile needs
+  constexpr int kCacheBytes = 480 << 10;  // of the windows and pixels, the largest part of what a tile needs
 
-  const int tile_for_cache = kCacheBytes / (2 * p.disparities * p.window_height);
-  const int tiles =
-      (size.width + std::max(tile_for_cache, 2 * kMaxLanes) - 1) / std::max(tile_for_cache, 2 * kMaxLanes);
-  const int tile = ((size.width + tiles - 1) / tiles + kMaxLanes - 1) / kMaxLanes * kMaxLanes;
+  const int tile_for_cache = std::max(kCacheBytes / (3 * p.disparities * p.window_height), 8 * kGroup);
+  const int tiles = (size.width + tile_for_cache - 1) / tile_for_cache;
+  const int tile = ((size.width + tiles - 1) / tiles + kGroup - 1) / kGroup * kGroup;
 
-  const int beside = p.window_width;
-  const int after = tile + 2 * p.window_width + 4 * kMaxLanes;
-  const Padded padded_left(left, beside, after);
-  const Padded padded_right(right, beside + std::max(0, p.min_disparity + p.disparities),
-                            after + std::max(0, -p.min_disparity));
+  const Mirrored mirrored_right(right, std::max(0, -p.min_disparity),
+                                std::max(0, p.min_disparity) + p.disparities + 4 * kMaxLanes);
   Correlation out;
   for (cv::Mat1w* image : {&out.winner, &out.cost, &out.second, &out.before, &out.after, &out.right_winner}) {
     image->create(size);
   }
   parallel_chunks(0, size.height, kRowsPerBlock, [&](int y0, int y1) {
-    const CorrelationBlock block = {.left = padded_left.origin,
-                                    .right = padded_right.origin,
-                                    .left_stride = padded_left.stride,
-                                    .right_stride = padded_right.stride,
-                                    .left_plane = padded_left.plane,
-                                    .right_plane = padded_right.plane,
+    const CorrelationBlock block = {.left = &left,
+                                    .right = mirrored_right.origin,
+                                    .right_stride = mirrored_right.stride,
+                                    .right_plane = mirrored_right.plane,
                                     .census = census,
                                     .width = size.width,
                                     .height = size.height,

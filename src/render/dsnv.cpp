@@ -2,12 +2,14 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <numbers>
 #include <opencv2/imgproc.hpp>
 
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "tile_kernels.h"
 
 namespace iris::render {
 namespace {
@@ -15,8 +17,6 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-constexpr int kTile = 8;  // [px] side of the square of rays that share one search for free space
-constexpr size_t kMostSources = 32;
 constexpr double kBeyond = 1e30;    // [m]
 constexpr double kRangeMargin = 1;  // [px] a ray is walked from and to this far outside the source's disparity range
 constexpr double kSmallestDisparity = 0.01;  // [px] everything beyond is at infinity
@@ -29,7 +29,6 @@ struct Source {
   double distance;          // |T| [m]
   // Depths [m] at which the disparity range with its margin begins and ends.
   double nearest, farthest;
-  float focal_baseline;  // f t [px m]
 };
 
 struct DepthRange {
@@ -83,9 +82,15 @@ Meeting between(const Sample& a, const Sample& b, float max_step) {
 }
 
 // The part of a ray that is walked.
+struct ImagePoint {
+  float x = 0, y = 0;  // [px]
+};
 struct Stretch {
   double from = 0, to = kBeyond;  // s of (7.2); empty if from >= to
   bool in_image = false;          // all of it lies in the image and in front of the source: it needs no clipping
+  // Image points [px] of the tile's corner rays at `from`: upper left and right, lower left and right.
+  bool has_begin = false;
+  std::array<ImagePoint, 4> begin = {};
 };
 
 // Cuts a stretch to what the source can see. Depth and the sides of the image are linear in s when multiplied by the
@@ -244,7 +249,7 @@ RayHit walk(const PreparedSource& source, const DepthRange& range, const Vector3
 // that the source knows to be free (or does not see), after it behind everything it sees. The rays of the tile lie
 // between its four corner rays.
 Stretch tile_stretch(const Source& source, const std::array<Vector3d, 4>& corner_rays) {
-  constexpr Stretch kNothing{.from = kBeyond, .to = 0};
+  const Stretch kNothing{.from = kBeyond, .to = 0};
   constexpr double kLongest = 64, kFirst = 16, kShortest = 2;  // [px] lengths of the pieces that are judged at once
   const PreparedSource& prepared = *source.prepared;
   const RectifiedCamera& camera = prepared.view().camera;
@@ -336,6 +341,8 @@ Stretch tile_stretch(const Source& source, const std::array<Vector3d, 4>& corner
     }
   }
   part.in_image = !footprint(begin, here).cut;
+  part.has_begin = true;
+  for (size_t i = 0; i < 4; ++i) part.begin[i] = {static_cast<float>(begin[i].x), static_cast<float>(begin[i].y)};
   return part;
 }
 
@@ -385,155 +392,255 @@ Pixel fuse_nearest(const std::vector<Source>& sources, const std::vector<RayHit>
   return seen(sources[winner], best, hits[winner]);
 }
 
-// The surface that most sources support; their colours and depths are blended. Back sides hide nothing here: a source
-// that sees a front there knows better.
-Pixel fuse_by_agreement(const std::vector<Source>& sources, const std::vector<RayHit>& hits) {
-  constexpr float kDisparityError = 0.5f;  // [px] matching and pose error together
-  constexpr float kRelativeError = 0.01f;  // of the depth in the novel view
-  constexpr float kRim = 16;               // [px] towards its border a source fades out, which hides the seam
-  struct Candidate {
-    float along, tolerance, votes;
-    size_t source;
-  };
-  std::array<Candidate, kMostSources> candidates;
-  size_t count = 0;
-  for (size_t i = 0; i < sources.size(); ++i) {
-    const RayHit& hit = hits[i];
-    if (hit.meeting != Meeting::surface || hit.along <= 0) continue;
-    const StereoView& view = sources[i].prepared->view();
-    const float disparity = hit.disparity + static_cast<float>(view.camera.disparity_offset);
-    float trust = 1;
-    if (!view.disparity.origin.empty()) {
-      const uint8_t origin = view.disparity.origin(static_cast<int>(hit.y + 0.5f), static_cast<int>(hit.x + 0.5f));
-      if (origin == static_cast<uint8_t>(DisparityOrigin::within_segment)) trust = 0.7f;
-      if (origin == static_cast<uint8_t>(DisparityOrigin::between_segments)) trust = 0.3f;
+TileSource tile_source(const Source& source) {
+  const StereoView& view = source.prepared->view();
+  const cv::Mat1f& disparity = source.prepared->disparity();
+  const cv::Mat1b& origin = view.disparity.origin;
+  TileSource tile{.rotation = {},
+                  .translation = {},
+                  .f = static_cast<float>(view.camera.f),
+                  .cx = static_cast<float>(view.camera.cx),
+                  .cy = static_cast<float>(view.camera.cy),
+                  .baseline = static_cast<float>(view.camera.baseline),
+                  .disparity_offset = static_cast<float>(view.camera.disparity_offset),
+                  .distance = static_cast<float>(source.distance),
+                  .width = disparity.cols,
+                  .height = disparity.rows,
+                  .disparity = disparity[0],
+                  .disparity_stride = static_cast<ptrdiff_t>(disparity.step1()),
+                  .image = view.image.data,
+                  .image_stride = static_cast<ptrdiff_t>(view.image.step[0]),
+                  .channels = view.image.channels(),
+                  .origin = origin.empty() ? nullptr : origin.data,
+                  .origin_stride = origin.empty() ? 0 : static_cast<ptrdiff_t>(origin.step[0])};
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) tile.rotation[3 * i + j] = static_cast<float>(source.cam_from_novel(i, j));
+    tile.translation[i] = static_cast<float>(source.novel_in_cam[i]);
+  }
+  return tile;
+}
+
+// The rays of a tile and those just beyond its right and lower sides: what is known of them for one source.
+class TileWalk {
+ public:
+  static constexpr int kSide = kTile + 1;
+  using Rays = std::array<std::array<Vector3d, kSide>, kSide>;
+
+  TileWalk(const Source& source, float max_step)
+      : source_(source),
+        range_{source.nearest, source.farthest},
+        max_step_(max_step),
+        constants_(tile_source(source)) {}
+
+  const TileSource& constants() const { return constants_; }
+
+  // All meetings of the tile's rays. Where squares of the tile show one smooth surface, rays at their corners are
+  // walked and the disparities between them are a guess that leads to the surface; all else is walked. `continues`: the
+  // tile is the right neighbour of the one before, with which it shares a column of rays.
+  void meet(const Rays& rays, const TileRays& vectors, const Stretch& part, bool continues, TileHits& hits) {
+    const bool was_empty = part_.from >= part_.to;
+    rays_ = &rays;
+    part_ = part;
+    if (part.from >= part.to) {
+      hits = {};
+      return;
     }
-    candidates[count++] = {
-        .along = hit.along,
-        .tolerance = kDisparityError * sources[i].focal_baseline / (disparity * disparity) + kRelativeError * hit.along,
-        .votes = trust,
-        .source = i};
-  }
-  if (count == 0) return {};
-  const auto agree = [](const Candidate& a, const Candidate& b) {
-    return std::abs(a.along - b.along) <= a.tolerance + b.tolerance;
-  };
-  size_t best = 0;
-  float best_votes = 0;
-  for (size_t i = 0; i < count; ++i) {
-    float votes = 0;
-    for (size_t j = 0; j < count; ++j) votes += agree(candidates[i], candidates[j]) ? candidates[j].votes : 0.0f;
-    const bool nearer = candidates[i].along < candidates[best].along;
-    if (votes > best_votes + 1e-4f || (votes > best_votes - 1e-4f && nearer)) best_votes = votes, best = i;
+    for (size_t row = 0; row < known_.size(); row += kSide) {
+      const bool shared = continues && !was_empty && known_[row + kTile];
+      if (shared) met_[row] = met_[row + kTile];
+      std::fill_n(known_.begin() + static_cast<ptrdiff_t>(row), kSide, false);
+      known_[row] = shared;
+    }
+    wanted_ = {};
+    split(0, 0, part.has_begin ? kTile : 2, hits);
+    uint64_t failed = settle(constants_, vectors, wanted_, max_step_, hits);
+    for (; failed != 0; failed &= failed - 1) {
+      const int pixel = std::countr_zero(failed);
+      put(pixel % kTile, pixel / kTile, hits);
+    }
   }
 
-  cv::Vec3f colour(0, 0, 0);
-  float depth = 0, total = 0, most = 0;
-  Pixel pixel;
-  for (size_t j = 0; j < count; ++j) {
-    const Candidate& candidate = candidates[j];
-    if (!agree(candidates[best], candidate)) continue;
-    const RayHit& hit = hits[candidate.source];
-    const Source& source = sources[candidate.source];
-    const cv::Mat& image = source.prepared->view().image;
-    const float to_border = std::min(std::min(hit.x, static_cast<float>(image.cols - 1) - hit.x),
-                                     std::min(hit.y, static_cast<float>(image.rows - 1) - hit.y));
-    const float fade = std::clamp((to_border + 1) / kRim, 0.05f, 1.0f);
-    const float weight = candidate.votes * fade / (static_cast<float>(source.distance) + 0.02f * candidate.along);
-    colour += weight * colour_at(image, hit.x, hit.y);
-    depth += weight * candidate.along;
-    total += weight;
-    if (weight > most) most = weight, pixel.source = static_cast<int16_t>(candidate.source);
+ private:
+  const RayHit& ray(int x, int y) {
+    const size_t i = static_cast<size_t>(y * kSide + x);
+    if (!known_[i]) {
+      known_[i] = true;
+      met_[i] = walk(*source_.prepared, range_,
+                     source_.cam_from_novel * (*rays_)[static_cast<size_t>(y)][static_cast<size_t>(x)],
+                     source_.novel_in_cam, part_, max_step_);
+    }
+    return met_[i];
   }
-  for (int c = 0; c < 3; ++c) pixel.colour[c] = static_cast<uint8_t>(colour[c] / total + 0.5f);
-  pixel.depth = depth / total;
-  return pixel;
+
+  void put(int x, int y, TileHits& hits) {
+    const RayHit& hit = ray(x, y);
+    const size_t i = static_cast<size_t>(y * kTile + x);
+    wanted_.at[i] = 0;
+    hits.meeting.at[i] = hit.meeting == Meeting::nothing ? 0.0f : hit.meeting == Meeting::surface ? 1.0f : -1.0f;
+    hits.x.at[i] = hit.x;
+    hits.y.at[i] = hit.y;
+    hits.disparity.at[i] = hit.disparity;
+    hits.along.at[i] = hit.along;
+  }
+
+  // The whole tile as squares of one size.
+  void split(int x_begin, int y_begin, int size, TileHits& hits) {
+    for (int y = y_begin; y < kTile; y += size) {
+      for (int x = x_begin; x < kTile; x += size) square(x, y, size, hits);
+    }
+  }
+
+  void square(int x0, int y0, int size, TileHits& hits) {
+    const std::array<const RayHit*, 4> corners = {&ray(x0, y0), &ray(x0 + size, y0), &ray(x0, y0 + size),
+                                                  &ray(x0 + size, y0 + size)};
+    if (is_smooth(corners, x0, y0, size)) {
+      interpolate(corners, x0, y0, size, hits);
+    } else if (size > 2) {
+      const int half = size / 2;
+      for (const auto& [x, y] : {std::pair{0, 0}, {half, 0}, {0, half}, {half, half}}) {
+        square(x0 + x, y0 + y, half, hits);
+      }
+    } else {
+      for (const auto& [x, y] : {std::pair{0, 0}, {1, 0}, {0, 1}, {1, 1}}) put(x0 + x, y0 + y, hits);
+    }
+  }
+
+  bool is_smooth(const std::array<const RayHit*, 4>& corners, int x0, int y0, int size) const {
+    const float farthest_apart = 2 * static_cast<float>(size);  // [px] in the source image
+    const Meeting meeting = corners[0]->meeting;
+    float low_x = corners[0]->x, high_x = low_x, low_y = corners[0]->y, high_y = low_y;
+    for (const RayHit* corner : corners) {
+      if (corner->meeting != meeting) return false;
+      low_x = std::min(low_x, corner->x), high_x = std::max(high_x, corner->x);
+      low_y = std::min(low_y, corner->y), high_y = std::max(high_y, corner->y);
+    }
+    if (meeting == Meeting::nothing) return size <= 4;
+    if (high_x - low_x > farthest_apart || high_y - low_y > farthest_apart) return false;
+    if (size == 2) return true;
+    // Nothing that belongs to another object may stand before a larger square.
+    float disparity = corners[0]->disparity, lowest = disparity;
+    for (const RayHit* corner : corners) {
+      disparity = std::max(disparity, corner->disparity);
+      lowest = std::min(lowest, corner->disparity);
+    }
+    if (disparity - lowest > max_step_) return false;
+    for (const int y : {y0, y0 + size}) {
+      for (const int x : {x0, x0 + size}) {
+        const float fx = static_cast<float>(x) / kTile, fy = static_cast<float>(y) / kTile;
+        const auto& [a, b, c, d] = part_.begin;
+        const float at_x = (1 - fy) * ((1 - fx) * a.x + fx * b.x) + fy * ((1 - fx) * c.x + fx * d.x);
+        const float at_y = (1 - fy) * ((1 - fx) * a.y + fx * b.y) + fy * ((1 - fx) * c.y + fx * d.y);
+        low_x = std::min(low_x, at_x), high_x = std::max(high_x, at_x);
+        low_y = std::min(low_y, at_y), high_y = std::max(high_y, at_y);
+      }
+    }
+    const int width = constants_.width, height = constants_.height;
+    const auto pixel = [](float at, int count) {
+      return static_cast<int>(std::clamp(at, 0.0f, static_cast<float>(count - 1)));
+    };
+    return source_.prepared->max_in(pixel(low_x, width), pixel(low_y, height), pixel(high_x + 1, width),
+                                    pixel(high_y + 1, height)) <= disparity + 0.5f * max_step_;
+  }
+
+  void interpolate(const std::array<const RayHit*, 4>& corners, int x0, int y0, int size, TileHits& hits) {
+    const bool nothing = corners[0]->meeting == Meeting::nothing;
+    const float meeting = nothing ? 0.0f : corners[0]->meeting == Meeting::surface ? 1.0f : -1.0f;
+    const float part = 1 / static_cast<float>(size);
+    for (int y = 0; y < size; ++y) {
+      const float fy = static_cast<float>(y) * part;
+      const float left = corners[0]->disparity + fy * (corners[2]->disparity - corners[0]->disparity);
+      const float right = corners[1]->disparity + fy * (corners[3]->disparity - corners[1]->disparity);
+      const float slope = (right - left) * part;
+      const size_t row = static_cast<size_t>((y0 + y) * kTile + x0);
+      for (int x = 0; x < size; ++x) {
+        const size_t i = row + static_cast<size_t>(x);
+        hits.meeting.at[i] = meeting;
+        hits.disparity.at[i] = left + static_cast<float>(x) * slope;
+        hits.x.at[i] = hits.y.at[i] = hits.along.at[i] = 0;
+        wanted_.at[i] = nothing ? 0.0f : 1.0f;
+      }
+    }
+    put(x0, y0, hits);
+  }
+
+  const Source& source_;
+  DepthRange range_;
+  float max_step_;
+  TileSource constants_;
+  const Rays* rays_ = nullptr;
+  Stretch part_;
+  std::array<bool, kSide * kSide> known_{};
+  std::array<RayHit, kSide * kSide> met_;
+  TileFloats wanted_;
+};
+
+RayHit ray_hit(const TileHits& hits, size_t i) {
+  const float meeting = hits.meeting.at[i];
+  return {.meeting = meeting == 0  ? Meeting::nothing
+                     : meeting > 0 ? Meeting::surface
+                                   : Meeting::back_side,
+          .x = hits.x.at[i],
+          .y = hits.y.at[i],
+          .disparity = hits.disparity.at[i],
+          .along = hits.along.at[i]};
 }
 
-// The meeting of a ray between four rays of the same tile, from theirs: on one smooth surface the image point and its
-// disparity are interpolated, and the disparity image must confirm the result. False = the ray has to be walked.
-bool interpolate_hit(const PreparedSource& source, const std::array<const RayHit*, 4>& around, float max_step,
-                     RayHit& hit) {
-  constexpr float kFarthestApart = 4;      // [px] in the source image: nothing that matters lies between
-  constexpr float kDisparityError = 0.1f;  // [px]
-  float low_x = around[0]->x, high_x = low_x, low_y = around[0]->y, high_y = low_y, x = 0, y = 0, disparity = 0;
-  for (const RayHit* neighbour : around) {
-    if (neighbour->meeting != around[0]->meeting) return false;
-    low_x = std::min(low_x, neighbour->x), high_x = std::max(high_x, neighbour->x);
-    low_y = std::min(low_y, neighbour->y), high_y = std::max(high_y, neighbour->y);
-    x += 0.25f * neighbour->x, y += 0.25f * neighbour->y, disparity += 0.25f * neighbour->disparity;
-  }
-  hit = {.meeting = around[0]->meeting, .x = x, .y = y, .disparity = disparity};
-  if (hit.meeting == Meeting::nothing) return true;
-  if (high_x - low_x > kFarthestApart || high_y - low_y > kFarthestApart) return false;
-  return std::abs(inside(source.disparity(), x, y, max_step) - disparity) <= kDisparityError;
-}
-
-// Pixel (x, y) of `view` is pixel (step x, step y) of the camera. In each tile every second ray in both directions is
-// walked (and those just beyond its right and lower sides); of the others only those that their neighbours do not
-// settle.
+// Pixel (x, y) of `view` is pixel (step x, step y) of the camera.
 void trace(const NovelCamera& camera, const std::vector<Source>& sources, const DsnvOptions& options, NovelView& view) {
-  constexpr int kSide = kTile + 1, kWalked = kTile / 2 + 1;
+  constexpr size_t kSide = TileWalk::kSide;
   const int step = options.step, width = view.image.cols, height = view.image.rows;
   const float max_step = static_cast<float>(options.max_disparity_step);
   const bool agreement = options.fusion == "agreement";
+  const size_t count = sources.size();
   parallel_chunks(0, height, kTile, [&](int y_begin, int y_end) {
-    const size_t count = sources.size();
-    std::vector<std::array<RayHit, kTile * kTile>> hits(count);
-    std::array<std::array<Vector3d, kSide>, kSide> rays;
-    std::array<std::array<RayHit, kWalked>, kWalked> walked;
+    std::vector<TileWalk> walks;
+    std::vector<TileSource> constants;
+    for (const Source& source : sources) {
+      walks.emplace_back(source, max_step);
+      constants.push_back(walks.back().constants());
+    }
+    std::vector<TileHits> hits(count);
     std::vector<RayHit> of_pixel(count);
+    TileWalk::Rays rays;
+    TileRays vectors;
+    TilePixels pixels;
     for (int x_begin = 0; x_begin < width; x_begin += kTile) {
-      const int columns = std::min(kTile, width - x_begin), rows = y_end - y_begin;
       for (size_t y = 0; y < kSide; ++y) {
         for (size_t x = 0; x < kSide; ++x) {
-          rays[y][x] =
+          const Vector3d ray =
               pixel_ray(camera, (x_begin + static_cast<int>(x)) * step, (y_begin + static_cast<int>(y)) * step);
+          rays[y][x] = ray;
+          if (x == kTile || y == kTile) continue;
+          const size_t i = y * kTile + x;
+          vectors.x.at[i] = static_cast<float>(ray.x());
+          vectors.y.at[i] = static_cast<float>(ray.y());
+          vectors.z.at[i] = static_cast<float>(ray.z());
         }
       }
       for (size_t i = 0; i < count; ++i) {
-        const Source& source = sources[i];
-        const PreparedSource& prepared = *source.prepared;
-        const DepthRange range{source.nearest, source.farthest};
-        const Vector3d& t = source.novel_in_cam;
         Stretch part;
         if (camera.projection == Projection::pinhole) {
-          part = tile_stretch(source,
-                              {source.cam_from_novel * rays[0][0], source.cam_from_novel * rays[0][kTile],
-                               source.cam_from_novel * rays[kTile][0], source.cam_from_novel * rays[kTile][kTile]});
+          const Matrix3d& r = sources[i].cam_from_novel;
+          part = tile_stretch(sources[i],
+                              {r * rays[0][0], r * rays[0][kTile], r * rays[kTile][0], r * rays[kTile][kTile]});
         }
-        if (part.from >= part.to) {
-          hits[i].fill({});
-          continue;
-        }
-        for (size_t y = 0; y < kWalked; ++y) {
-          for (size_t x = 0; x < kWalked; ++x) {
-            walked[y][x] = walk(prepared, range, source.cam_from_novel * rays[2 * y][2 * x], t, part, max_step);
-          }
-        }
-        for (size_t y = 0; y < kTile; ++y) {
-          for (size_t x = 0; x < kTile; ++x) {
-            RayHit& hit = hits[i][y * kTile + x];
-            const size_t x0 = x / 2, x1 = (x + 1) / 2, y0 = y / 2, y1 = (y + 1) / 2;
-            if (x0 == x1 && y0 == y1) {
-              hit = walked[y0][x0];
-              continue;
-            }
-            const Vector3d q = source.cam_from_novel * rays[y][x];
-            const std::array<const RayHit*, 4> around = {&walked[y0][x0], &walked[y0][x1], &walked[y1][x0],
-                                                         &walked[y1][x1]};
-            if (!interpolate_hit(prepared, around, max_step, hit)) {
-              hit = walk(prepared, range, q, t, part, max_step);
-            } else if (hit.meeting != Meeting::nothing) {
-              hit.along = along_ray(prepared, q, t, hit);
-            }
-          }
-        }
+        walks[i].meet(rays, vectors, part, x_begin > 0, hits[i]);
       }
+      if (agreement) fuse_by_agreement(constants.data(), hits.data(), count, pixels);
+      const int columns = std::min(kTile, width - x_begin), rows = y_end - y_begin;
       for (int y = 0; y < rows; ++y) {
         for (int x = 0; x < columns; ++x) {
-          for (size_t i = 0; i < count; ++i) of_pixel[i] = hits[i][static_cast<size_t>(y * kTile + x)];
-          const Pixel pixel = agreement ? fuse_by_agreement(sources, of_pixel) : fuse_nearest(sources, of_pixel);
+          const size_t i = static_cast<size_t>(y * kTile + x);
+          if (agreement) {
+            for (int k = 0; k < 3; ++k) {
+              view.image(y_begin + y, x_begin + x)[k] = static_cast<uint8_t>(pixels.colour[k].at[i] + 0.5f);
+            }
+            view.depth(y_begin + y, x_begin + x) = pixels.depth.at[i];
+            view.source(y_begin + y, x_begin + x) = pixels.source[i];
+            continue;
+          }
+          for (size_t k = 0; k < count; ++k) of_pixel[k] = ray_hit(hits[k], i);
+          const Pixel pixel = fuse_nearest(sources, of_pixel);
           view.image(y_begin + y, x_begin + x) = pixel.colour;
           view.depth(y_begin + y, x_begin + x) = pixel.depth;
           view.source(y_begin + y, x_begin + x) = pixel.source;
@@ -657,8 +764,7 @@ NovelView render_novel_view(const NovelCamera& camera,
                        .novel_in_cam = cam_from_novel.translation(),
                        .distance = cam_from_novel.translation().norm(),
                        .nearest = range.nearest,
-                       .farthest = range.farthest,
-                       .focal_baseline = static_cast<float>(source->view().camera.f * source->view().camera.baseline)});
+                       .farthest = range.farthest});
   }
   const int step = options.step;
   NovelView view = blank((camera.width + step - 1) / step, (camera.height + step - 1) / step);

@@ -40,7 +40,7 @@ void DsnvOptions::declare(OptionSet& set) {
 PreparedSource::PreparedSource(std::shared_ptr<const StereoView> view, const DsnvOptions& options)
     : view_(std::move(view)) {
   const cv::Mat1f& all = view_->disparity.disparity;
-  IRIS_CHECK(!all.empty() && all.size() == view_->image.size());
+  IRIS_CHECK(!all.empty() && all.size() == view_->image.size() && all.total() >= 4);
   IRIS_CHECK(view_->camera.width == all.cols && view_->camera.height == all.rows);
   IRIS_CHECK(view_->image.type() == CV_8UC1 || view_->image.type() == CV_8UC3);
   const DisparityOrigin up_to = accepted_origin(options.use_origin);

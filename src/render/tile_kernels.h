@@ -1,0 +1,60 @@
+// The work of novel views that is the same for each pixel of a tile, as vectors.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace iris::render {
+
+inline constexpr int kTile = 8;  // [px] side of the square of rays that are worked on together
+inline constexpr size_t kTilePixels = kTile * kTile;
+inline constexpr size_t kMostSources = 32;
+
+// One float per pixel, row by row.
+struct alignas(64) TileFloats {
+  float at[kTilePixels];
+};
+
+// Directions in the novel camera frame.
+struct TileRays {
+  TileFloats x, y, z;
+};
+
+// Meetings of the rays with the surface of one source, as RayHit has them.
+struct TileHits {
+  TileFloats meeting;  // 1 = surface, -1 = back side, 0 = nothing
+  TileFloats x, y, disparity, along;
+};
+
+// What the kernels need of a source.
+struct TileSource {
+  float rotation[9], translation[3];  // (7.2), row by row: rays of the novel camera in the frame of the source
+  float f, cx, cy, baseline, disparity_offset;
+  float distance;  // |T| [m]
+  int width, height;
+  const float* disparity;      // [px]
+  ptrdiff_t disparity_stride;  // [floats]
+  const uint8_t* image;
+  ptrdiff_t image_stride;   // [bytes]
+  int channels;             // 1 or 3
+  const uint8_t* origin;    // nullptr = all measured
+  ptrdiff_t origin_stride;  // [bytes]
+};
+
+struct TilePixels {
+  TileFloats colour[3];  // BGR
+  TileFloats depth;
+  int16_t source[kTilePixels];  // -1 = hole
+};
+
+// Finds the meetings of pixels of which `hits` holds meeting and a first guess of the disparity, and of which `wanted`
+// is 1: an image point of the ray is linear in its disparity (7.4), and a step of the secant method on delta (7.9)
+// leads from the guess to the surface. Returns the pixels (bit = index) at which it did not; these are undefined.
+uint64_t settle(const TileSource& source, const TileRays& rays, const TileFloats& wanted, float max_step,
+                TileHits& hits);
+
+// The surface that most sources support; their colours and depths are blended. Back sides hide nothing here: a source
+// that sees a front there knows better.
+void fuse_by_agreement(const TileSource* sources, const TileHits* hits, size_t count, TilePixels& pixels);
+
+}  // namespace iris::render

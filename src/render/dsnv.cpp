@@ -483,6 +483,21 @@ class TileWalk {
     hits.along.at[i] = hit.along;
   }
 
+  // A ray half-way between two others, alone.
+  void between(const RayHit& a, const RayHit& b, int x, int y, TileHits& hits) {
+    constexpr float kFarthestApart = 4;  // [px] in the source image
+    if (a.meeting != b.meeting || std::abs(a.x - b.x) > kFarthestApart || std::abs(a.y - b.y) > kFarthestApart) {
+      put(x, y, hits);
+      return;
+    }
+    const size_t i = static_cast<size_t>(y * kTile + x);
+    const bool nothing = a.meeting == Meeting::nothing;
+    hits.meeting.at[i] = nothing ? 0.0f : a.meeting == Meeting::surface ? 1.0f : -1.0f;
+    hits.disparity.at[i] = 0.5f * (a.disparity + b.disparity);
+    hits.x.at[i] = hits.y.at[i] = hits.along.at[i] = 0;
+    wanted_.at[i] = nothing ? 0.0f : 1.0f;
+  }
+
   // The whole tile as squares of one size.
   void split(int x_begin, int y_begin, int size, TileHits& hits) {
     for (int y = y_begin; y < kTile; y += size) {
@@ -501,7 +516,10 @@ class TileWalk {
         square(x0 + x, y0 + y, half, hits);
       }
     } else {
-      for (const auto& [x, y] : {std::pair{0, 0}, {1, 0}, {0, 1}, {1, 1}}) put(x0 + x, y0 + y, hits);
+      put(x0, y0, hits);
+      between(*corners[0], *corners[1], x0 + 1, y0, hits);
+      between(*corners[0], *corners[2], x0, y0 + 1, hits);
+      put(x0 + 1, y0 + 1, hits);
     }
   }
 

@@ -53,8 +53,8 @@ HWY_INLINE Floats disparity_at(const TileSource& source, Floats x, Floats y, Flo
 HWY_ATTR uint64_t settle(const TileSource& source, const TileRays& rays, const TileFloats& wanted, float max_step,
                          TileHits& hits) {
   constexpr float kSettled = 5e-4f;        // [px] a guess as good as this is taken
-  constexpr float kDisparityError = 0.3f;  // [px] largest delta of the second sample
-  constexpr float kFarthestGuess = 0.5f;   // [px] a guess that is farther away may belong to another surface
+  constexpr float kDisparityError = 0.5f;  // [px] largest delta of the second sample
+  constexpr float kFarthestGuess = 1.0f;   // [px] a guess that is farther away may belong to another surface
   const Tag d;
   const auto zero = hn::Zero(d), one = set(1);
   const auto steps = set(max_step);

@@ -28,8 +28,8 @@ constexpr int kCubes = kSide * kSide * kSide;
 constexpr double kSurface = 0.35;  // membership of occupancy from here on is a surface
 
 struct ColourSum {
-  std::array<uint32_t, 3> bgr = {};
-  uint32_t count = 0;
+  std::array<uint64_t, 3> bgr = {};
+  uint64_t count = 0;
 };
 
 struct Tile {

@@ -83,9 +83,17 @@ int write_tour(const Workspace& workspace, const RunOptions& options, const std:
   tour::TourOptions tour_options = options.library.tour;
   CameraPath path;
   if (camera_path_file.empty()) {
-    path = tour::along(nodes, tour_options, tour::scene_depth(*views, submap));
+    // Where nothing was measured (a recording of bare walls), the distance at which a stereo camera sees well.
+    constexpr double kUsualDepth = 20;  // [baselines]
+    const double depth = tour::scene_depth(*views, submap);
+    path =
+        tour::along(nodes, tour_options, depth > 0 ? depth : kUsualDepth * views->summaries().front().camera.baseline);
   } else {
     const tour::CameraPathFile file = tour::read_camera_path_file(camera_path_file);
+    if (file.projection != Projection::pinhole) {
+      throw InputError(camera_path_file, "asks for equirectangular pictures, tours are made with perspective ones",
+                       "set \"camera_type\" to perspective");
+    }
     path = file.path;
     if (file.width > 0 && file.height > 0) {
       // H.264 in its common form has even sides.

@@ -7,6 +7,7 @@
 
 #include "apps/iris/command.h"
 #include "iris/core/atomic_file.h"
+#include "iris/core/error.h"
 #include "iris/core/parallel.h"
 
 namespace iris::app {
@@ -56,6 +57,9 @@ void Arguments::resolve(const std::filesystem::path& saved) {
   if (!config_.empty()) set.read_toml(config_);
   for (const auto& [name, text] : given_) set.set(name, text);
   set.validate();
+  if (options.library.tour.width % 2 != 0 || options.library.tour.height % 2 != 0) {
+    throw UsageError("tour.width and tour.height must be even: the video format wants it");
+  }
   // The console alone: the log file of a run keeps everything.
   if (quiet_) spdlog::default_logger()->sinks().front()->set_level(spdlog::level::warn);
 }

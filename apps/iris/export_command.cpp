@@ -41,9 +41,23 @@ int run(Export& state) {
       }
     }
   }
-  write_options(workspace.folder(), state.arguments.set);
   with_threads(state.arguments.threads(),
                [&] { pipeline::run_stages(wanted, state.arguments.set, workspace, state.arguments.control()); });
+
+  // What was not written again still stands on the options of its own run.
+  exporters::RunOptions saved;
+  OptionSet saved_set;
+  saved.declare(saved_set);
+  saved_set.read_toml(workspace.folder() / "options.toml");
+  for (const pipeline::Stage& stage : wanted) {
+    for (const OptionSet::Option& option : state.arguments.set.options()) {
+      const std::string section = option.name.substr(0, option.name.find('.'));
+      if (std::find(stage.sections.begin(), stage.sections.end(), section) != stage.sections.end()) {
+        saved_set.set(option.name, to_text(option));
+      }
+    }
+  }
+  write_options(workspace.folder(), saved_set);
   return kGood;
 }
 

@@ -67,7 +67,7 @@ void print_output(const workspace::Workspace& workspace) {
 int info(Info& info) {
   info.arguments.resolve();
   if (fs::exists(fs::path(info.path) / "workspace.db")) {
-    print_output(workspace::Workspace::open(info.path));
+    print_output(workspace::Workspace::open(info.path, workspace::Workspace::Access::read_only));
   } else {
     print_session(*session::open_session(info.path, info.arguments.options.library.session));
   }

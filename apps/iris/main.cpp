@@ -3,7 +3,10 @@
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <csignal>
+#include <cstdio>
+#include <filesystem>
 #include <opencv2/core.hpp>
 #include <opencv2/core/utils/logger.hpp>
 
@@ -35,8 +38,15 @@ int report_parse_error(const CLI::App& program, const CLI::ParseError& error) {
     for (const CLI::App* command : program.get_subcommands()) {
       for (const std::string& extra : command->remaining()) {
         if (!extra.starts_with("--")) continue;
+        const std::string name = extra.substr(2, extra.find('=') - 2);
+        const bool known = std::any_of(set.options().begin(), set.options().end(),
+                                       [&](const OptionSet::Option& option) { return option.name == name; });
+        if (known) {
+          message = fmt::format("--{} is no option of 'iris {}'", name, command->get_name());
+          continue;
+        }
         try {
-          set.set(extra.substr(2, extra.find('=') - 2), "");
+          set.set(name, "");
         } catch (const UsageError& unknown) {
           message = unknown.what();
         }
@@ -70,7 +80,11 @@ int run(int argc, char** argv) {
   }
   try {
     for (const auto& [name, command] : commands) {
-      if (program.got_subcommand(name)) return command();
+      if (!program.got_subcommand(name)) continue;
+      const int code = command();
+      if (std::fflush(stdout) != 0)
+        throw InputError("standard output", "cannot be written", "see that its disk has space");
+      return code;
     }
     throw Bug("no subcommand");
   } catch (const UsageError& error) {
@@ -80,8 +94,11 @@ int run(int argc, char** argv) {
     spdlog::error("iris: {}", error.what());
     return kBadInput;
   } catch (const Interrupted&) {
-    spdlog::warn("interrupted; the same command goes on from here");
+    spdlog::warn("interrupted; run it again ('iris run' goes on where it stopped)");
     return kInterrupted;
+  } catch (const std::filesystem::filesystem_error& error) {
+    spdlog::error("iris: {}: {}; check the folder and its permissions", error.path1().string(), error.code().message());
+    return kBadInput;
   } catch (const std::exception& error) {
     spdlog::error("iris: this is a bug, please report it: {}", error.what());
     return kBug;

@@ -28,6 +28,9 @@ int run(Rectify& state) {
   for (const std::string& note : session->notes()) spdlog::warn("{}", note);
   const rectify::Rectifier rectifier(session->calibration());
   const fs::path out = state.out;
+  if (fs::exists(out) && !(fs::is_directory(out) && fs::is_empty(out))) {
+    throw InputError(out, "is not empty: images of different sessions would mix", "give a new folder with -o");
+  }
   std::vector<char> written(static_cast<size_t>(session->size()), 0);
   const auto write = [&](int i) {
     StereoPair pair;

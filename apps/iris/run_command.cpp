@@ -33,13 +33,18 @@ void log_to_file(const fs::path& path) {
   }
 }
 
+// Absolute, and the same however it was typed.
+std::string session_name(const fs::path& folder) {
+  const fs::path path = fs::absolute(folder).lexically_normal();
+  return (path.has_filename() ? path : path.parent_path()).string();
+}
+
 int run(Run& run) {
   Arguments& arguments = run.arguments;
   arguments.resolve();
   const fs::path out = run.out;
   const auto session = session::open_session(run.session, arguments.options.library.session);
-  auto workspace = workspace::Workspace::create(out, fs::absolute(session->folder()).lexically_normal().string(),
-                                                session->identity());
+  auto workspace = workspace::Workspace::create(out, session_name(session->folder()), session->identity());
   log_to_file(out / "log.txt");
   spdlog::info("{}: {}, {} stereo frames", session->folder().string(), session->kind(), session->size());
   for (const std::string& note : session->notes()) spdlog::warn("{}", note);

@@ -17,6 +17,7 @@ struct Tour {
 };
 
 int run(Tour& state) {
+  if (!state.video.ends_with(".mp4")) throw UsageError("-o " + state.video + ": the video's name must end in .mp4");
   auto workspace = workspace::Workspace::open(state.out);
   state.arguments.resolve(workspace.folder() / "options.toml");
   if (!workspace.stage("frames")) {

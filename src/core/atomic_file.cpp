@@ -20,7 +20,13 @@ namespace {
                         : "check the folder and its permissions, or choose another with -o");
 }
 
-void make_folder_of(const fs::path& path) {
+// Also refuses to put a file in the place of a device or a folder: renaming would replace it.
+void prepare_place_of(const fs::path& path) {
+  std::error_code unknown;
+  const fs::file_status status = fs::status(path, unknown);
+  if (fs::exists(status) && !fs::is_regular_file(status)) {
+    throw InputError(path, "is no file that could be replaced", "give another name");
+  }
   if (!path.has_parent_path()) return;
   std::error_code error;
   fs::create_directories(path.parent_path(), error);
@@ -52,7 +58,7 @@ void rename_over(const fs::path& from, const fs::path& to) {
 }
 
 void write_bytes(const fs::path& path, const void* data, size_t size) {
-  make_folder_of(path);
+  prepare_place_of(path);
   const fs::path temporary = temporary_of(path);
   const int fd = open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
   if (fd < 0) fail(path, errno);
@@ -85,7 +91,7 @@ void write_file(const fs::path& path, const std::vector<unsigned char>& bytes) {
 }
 
 void write_file_with(const fs::path& path, const std::function<void(const fs::path& temporary)>& write) {
-  make_folder_of(path);
+  prepare_place_of(path);
   const fs::path temporary = temporary_of(path);
   try {
     write(temporary);

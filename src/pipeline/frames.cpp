@@ -66,12 +66,13 @@ class FrameStream {
   rectify::Rectifier rectifier_;
 };
 
-// Looks at frames spread over the session. Throws the first frame's error if none of them can be read: then it is the
-// session that is wrong, not a frame.
+// Looks at frames spread over the session. Throws if none of them can be read: then it is the session that is wrong,
+// not a frame.
 int find_disparities(const session::Session& session, const Options& options) {
   constexpr int kSamples = 12;
   const rectify::Rectifier rectifier(session.calibration());
-  const int samples = std::min(kSamples, session.size());
+  // A given range still wants one frame that can be used.
+  const int samples = options.stereo.disparities > 0 ? 1 : std::min(kSamples, session.size());
   std::vector<std::unique_ptr<StereoPair>> pairs(static_cast<size_t>(samples));
   std::vector<std::string> errors(static_cast<size_t>(samples));
   const auto read_sample = [&](int i) {
@@ -107,12 +108,16 @@ int find_disparities(const session::Session& session, const Options& options) {
 // The chain's memory of the last frames, computed again as they were computed before the interruption.
 std::vector<motion::MotionChain::Restored> restore_frames(const FrameStream& stream,
                                                           const std::vector<workspace::FrameRecord>& records,
+                                                          const std::filesystem::path& session_folder,
                                                           bool random_access) {
   std::vector<motion::MotionChain::Restored> restored(records.size());
   const auto restore = [&](int i) {
     Item item{.frame_idx = records[i].frame_idx, .stamp_ns = records[i].stamp_ns};
     stream.read(item);
-    if (!item.unreadable.empty()) throw std::runtime_error(item.unreadable);
+    if (!item.unreadable.empty()) {
+      throw InputError(session_folder, "an image that was readable before no longer is: " + item.unreadable,
+                       "restore it and run again");
+    }
     stream.compute(item);
     restored[i] = {.frame_idx = item.frame_idx,
                    .features = std::move(item.features),
@@ -142,9 +147,9 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
   int last_view_submap = -1;
   if (first > 0) {
     spdlog::info("frames: going on behind frame {} of {}", first, session.size());
-    chain.restore(
-        restore_frames(stream, workspace.last_posed_frames(options.motion.retry_views + 1), session.random_access()),
-        workspace.submap_count());
+    chain.restore(restore_frames(stream, workspace.last_posed_frames(options.motion.retry_views + 1), session.folder(),
+                                 session.random_access()),
+                  workspace.submap_count());
     if (const auto view = workspace.last_view_frame()) {
       const auto record = workspace.frame(*view);
       last_view_pose = record->submap_from_cam;

@@ -7,6 +7,7 @@
 #include <cctype>
 #include <cmath>
 #include <cstdlib>
+#include <fstream>
 #include <map>
 #include <opencv2/core/utils/logger.hpp>
 #include <optional>
@@ -100,8 +101,12 @@ std::vector<RecordedImage> images_in_csv(const fs::path& data_folder, std::vecto
       throw InputError(csv, fmt::format("line {} is not 'stamp,file name'", line_number),
                        "mend the line or take the file away");
     }
-    const fs::path file = data_folder / line.substr(line.find_first_not_of(' ', comma + 1));
-    if (fs::exists(file)) {
+    const size_t name = line.find_first_not_of(' ', comma + 1);
+    if (name == std::string::npos) {
+      throw InputError(csv, fmt::format("line {} names no file", line_number), "mend the line or take the file away");
+    }
+    const fs::path file = data_folder / line.substr(name);
+    if (fs::is_regular_file(file)) {
       images.push_back({file, *stamp});
     } else {
       ++missing;
@@ -420,7 +425,7 @@ class ImageSession : public Session {
     notes_ = std::move(notes);
     const std::vector<RecordedFrame> all = pair_up(layout, folder, options, notes_);
     const fs::path& first = all.front().left;
-    identity_ = fmt::format("{} {} {}", kind_, first.filename().string(), fs::file_size(first));
+    identity_ = kind_ + " " + file_text(first);
     for (const int index : selected_frames(static_cast<int>(all.size()), options, folder)) {
       frames_.push_back(all[static_cast<size_t>(index)]);
     }
@@ -455,8 +460,7 @@ class ImageSession : public Session {
   std::string fingerprint_text() const override {
     std::string text;
     for (const RecordedFrame& frame : frames_) {
-      text += fmt::format("{} {} {} {} {}\n", frame.left.filename().string(), fs::file_size(frame.left),
-                          frame.right.filename().string(), fs::file_size(frame.right), frame.stamp_ns);
+      text += fmt::format("{} {} {}\n", file_text(frame.left), file_text(frame.right), frame.stamp_ns);
     }
     return fingerprint_of(kind_, text, calibration_);
   }
@@ -589,6 +593,20 @@ void note_unit(const StereoCalibration& calibration, std::vector<std::string>& n
                     "squares of the target, every length of the result is, too",
                     baseline));
   }
+}
+
+std::string file_text(const fs::path& file) {
+  constexpr uintmax_t kSample = 4096;  // [bytes]
+  const uintmax_t size = fs::file_size(file);
+  std::ifstream stream(file, std::ios::binary);
+  std::string samples, bytes(kSample, '\0');
+  for (const uintmax_t at : {uintmax_t{0}, size / 2, size > kSample ? size - kSample : uintmax_t{0}}) {
+    stream.clear();
+    stream.seekg(static_cast<std::streamoff>(at));
+    stream.read(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+    samples.append(bytes, 0, static_cast<size_t>(std::max<std::streamsize>(0, stream.gcount())));
+  }
+  return fmt::format("{} {} {}", file.filename().string(), size, fingerprint(samples));
 }
 
 std::string fingerprint_of(const std::string& kind, const std::string& frames, const StereoCalibration& calibration) {

@@ -100,7 +100,7 @@ class VideoSession : public Session {
                const StereoCalibration& calibration, const SessionOptions& options)
       : left_(std::make_unique<VideoStream>(left)) {
     folder_ = folder;
-    identity_ = fmt::format("video {} {}", left.filename().string(), fs::file_size(left));
+    identity_ = "video " + file_text(left);
     calibration_ = calibration;
     note_unit(calibration_, notes_);
     int count = left_->count();
@@ -169,8 +169,7 @@ class VideoSession : public Session {
   std::string fingerprint_text() const override {
     std::string text;
     for (const VideoStream* stream : {left_.get(), right_.get()}) {
-      if (stream)
-        text += fmt::format("{} {} bytes\n", stream->file().filename().string(), fs::file_size(stream->file()));
+      if (stream) text += file_text(stream->file()) + "\n";
     }
     for (int i = 0; i < size(); ++i) text += fmt::format("{} {}\n", selected_[static_cast<size_t>(i)], stamp_ns(i));
     return fingerprint_of(kind(), text, calibration_);

@@ -20,7 +20,7 @@ double seconds_between(int64_t from_ns, int64_t to_ns) { return static_cast<doub
 // Length of the tour [s] for a recording of that length.
 double tour_seconds(double recorded, const TourOptions& options) {
   if (options.seconds > 0) return options.seconds;
-  return std::max(std::clamp(recorded, 8.0, 15.0), recorded / options.max_speed);
+  return std::max(std::clamp(recorded, 8.0, 10.0), recorded / options.max_speed);
 }
 
 // Gaussian mean of the poses around a moment. The recording's ends keep their weight: beyond them the path is continued
@@ -70,7 +70,7 @@ void TourOptions::declare(OptionSet& set) {
   set.add("height", height, "px", 16, 16384, "Height of the tour's pictures; even.");
   set.add("fps", fps, "1/s", 0.1, 240, "Pictures of the tour per second.");
   set.add("seconds", seconds, "s", 0, 86400,
-          "Length of the tour. 0 chooses it: as long as the recording, but at least 8 s, and at most 15 s as long as "
+          "Length of the tour. 0 chooses it: as long as the recording, but at least 8 s, and at most 10 s as long as "
           "max_speed allows.");
   set.add("max_speed", max_speed, "times", 0.01, 10000,
           "The automatic length shows a recording at most so much faster.");

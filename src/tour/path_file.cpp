@@ -1,5 +1,7 @@
 #include "iris/tour/path_file.h"
 
+#include <fmt/format.h>
+
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <numbers>
@@ -68,6 +70,17 @@ CameraPathFile read_camera_path_file(const std::filesystem::path& file) {
     fail(file, "has no entries in \"camera_path\"");
   }
   const json& entries = content["camera_path"];
+  // Sizes and durations that no video has would only fail later, and less clearly.
+  const auto check_range = [&](const char* key, double low, double high) {
+    if (!content.contains(key)) return;
+    const double value = positive(file, content, key, "file");
+    if (value < low || value > high)
+      fail(file, fmt::format("\"{}\" is {}, not within {} to {}", key, value, low, high));
+  };
+  check_range("render_width", 16, 16384);
+  check_range("render_height", 16, 16384);
+  check_range("fps", 0.1, 240);
+  check_range("seconds", 0.01, 86400);
   CameraPathFile result;
   if (content.contains("render_width"))
     result.width = static_cast<int>(positive(file, content, "render_width", "file"));
@@ -103,7 +116,5 @@ CameraPathFile read_camera_path_file(const std::filesystem::path& file) {
   }
   return result;
 }
-
-CameraPath read_camera_path(const std::filesystem::path& file) { return read_camera_path_file(file).path; }
 
 }  // namespace iris::tour

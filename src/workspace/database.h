@@ -14,9 +14,11 @@ namespace iris::workspace {
 
 class Database {
  public:
-  explicit Database(const std::filesystem::path& path) : path_(path) {
-    if (sqlite3_open_v2(path.c_str(), &handle_, SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_FULLMUTEX,
-                        nullptr) != SQLITE_OK) {
+  enum class Access { read_write, read_only };
+
+  Database(const std::filesystem::path& path, Access access) : path_(path) {
+    const int flags = access == Access::read_only ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
+    if (sqlite3_open_v2(path.c_str(), &handle_, flags | SQLITE_OPEN_FULLMUTEX, nullptr) != SQLITE_OK) {
       const std::string message = sqlite3_errmsg(handle_);
       sqlite3_close(handle_);
       throw InputError(path, "cannot be opened (" + message + ")", "check the folder and its permissions");

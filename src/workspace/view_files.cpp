@@ -23,7 +23,7 @@ cv::Mat read_png(const fs::path& path) {
   if (fs::exists(path)) image = cv::imread(path.string(), cv::IMREAD_UNCHANGED);
   if (image.empty()) {
     throw InputError(path, fs::exists(path) ? "is no readable PNG" : "is missing",
-                     "delete the output folder's workspace.db and run again to restore it");
+                     "delete the output folder and run again");
   }
   return image;
 }
@@ -34,7 +34,8 @@ int disparity_scale(double max_disparity) { return max_disparity * 256 < kMaxCod
 
 std::vector<unsigned char> encode_png(const cv::Mat& image) {
   std::vector<unsigned char> bytes;
-  IRIS_CHECK(cv::imencode(".png", image, bytes, {cv::IMWRITE_PNG_COMPRESSION, 1}));
+  // Without parameters OpenCV chooses the fastest settings; naming a level would make libpng try all row filters.
+  IRIS_CHECK(cv::imencode(".png", image, bytes));
   return bytes;
 }
 
@@ -62,10 +63,11 @@ void read_view(const fs::path& folder, int scale, StereoView& view) {
   const cv::Mat code = read_png(disparity_path);
   const cv::Mat origin = read_png(origin_path);
   if (code.type() != CV_16UC1 || code.size() != view.image.size()) {
-    throw InputError(disparity_path, "is not the 16-bit disparity image of its view", "run again to restore it");
+    throw InputError(disparity_path, "is not the 16-bit disparity image of its view",
+                     "delete the output folder and run again");
   }
   if (origin.type() != CV_8UC1 || origin.size() != view.image.size()) {
-    throw InputError(origin_path, "is not the origin image of its view", "run again to restore it");
+    throw InputError(origin_path, "is not the origin image of its view", "delete the output folder and run again");
   }
   code.convertTo(view.disparity.disparity, CV_32F, 1.0 / scale);
   view.disparity.origin = origin;

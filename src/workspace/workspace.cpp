@@ -177,7 +177,11 @@ FrameRecord frame_of(const Statement& row) {
 }  // namespace
 
 struct Workspace::Impl {
-  explicit Impl(const fs::path& path) : folder(path), lock(path), database(path / "workspace.db") {
+  Impl(const fs::path& path, Database::Access access)
+      : folder(path),
+        lock(access == Database::Access::read_write ? std::make_unique<FolderLock>(path) : nullptr),
+        database(path / "workspace.db", access) {
+    if (access == Database::Access::read_only) return;
     database.run("PRAGMA journal_mode=WAL");
     database.run("PRAGMA synchronous=NORMAL");
     remove_temporaries(folder);
@@ -192,10 +196,25 @@ struct Workspace::Impl {
     Statement(database, fmt::format("INSERT OR REPLACE INTO {} VALUES (?1, ?2)", table)).bind(name, text).step();
   }
 
+  // "<size> <file>" a line; a file that is not there has the size -1.
+  std::string outputs_text(const std::vector<std::string>& files) const {
+    std::string text;
+    for (const std::string& file : files) {
+      std::error_code missing;
+      const auto size = fs::file_size(folder / file, missing);
+      text += fmt::format("{} {}\n", missing ? -1 : static_cast<int64_t>(size), file);
+    }
+    return text;
+  }
+  std::string outputs_of(const std::string& stage) const {
+    Statement select(database, "SELECT outputs FROM stage WHERE name = ?1");
+    return select.bind(stage).step() ? select.text(0) : std::string();
+  }
+
   fs::path views_folder() const { return folder / "views"; }
 
   fs::path folder;
-  FolderLock lock;
+  std::unique_ptr<FolderLock> lock;  // null when reading only
   Database database;
 };
 
@@ -219,7 +238,7 @@ Workspace Workspace::create(const fs::path& folder, const std::string& session_f
                        "choose an empty or new folder with -o");
     }
   }
-  auto impl = std::make_unique<Impl>(folder);
+  auto impl = std::make_unique<Impl>(folder, Database::Access::read_write);
   {
     Transaction transaction(impl->database);
     impl->database.run(kTables);
@@ -241,13 +260,13 @@ Workspace Workspace::create(const fs::path& folder, const std::string& session_f
   return Workspace(std::move(impl));
 }
 
-Workspace Workspace::open(const fs::path& folder) {
+Workspace Workspace::open(const fs::path& folder, Access access) {
   if (!fs::exists(folder / "workspace.db")) {
     throw InputError(folder, "is no output folder of iris (it has no workspace.db)",
                      "give the folder that 'iris run SESSION -o OUT' wrote");
   }
-  auto impl = std::make_unique<Impl>(folder);
-  impl->database.run(kTables);
+  auto impl = std::make_unique<Impl>(
+      folder, access == Access::read_only ? Database::Access::read_only : Database::Access::read_write);
   if (impl->text("about", "schema") != std::to_string(kSchema)) {
     throw InputError(folder, "was written by another version of iris", "run the session again into a new folder");
   }
@@ -264,20 +283,18 @@ std::optional<StageRecord> Workspace::stage(const std::string& stage) const {
   if (!select.bind(stage).step()) return std::nullopt;
   StageRecord record{.fingerprint = select.text(0), .outputs = {}};
   std::istringstream lines(select.text(1));
-  for (std::string line; std::getline(lines, line);) record.outputs.push_back(line);
+  for (std::string line; std::getline(lines, line);) record.outputs.push_back(line.substr(line.find(' ') + 1));
   return record;
 }
 
 bool Workspace::finished(const std::string& name, const std::string& fingerprint) const {
   const auto record = stage(name);
   return record && record->fingerprint == fingerprint &&
-         std::all_of(record->outputs.begin(), record->outputs.end(),
-                     [&](const std::string& file) { return fs::exists(impl_->folder / file); });
+         impl_->outputs_text(record->outputs) == impl_->outputs_of(name);
 }
 
 void Workspace::finish(const std::string& name, const StageRecord& record) {
-  std::string outputs;
-  for (const std::string& file : record.outputs) outputs += file + "\n";
+  const std::string outputs = impl_->outputs_text(record.outputs);
   Statement(impl_->database, "INSERT OR REPLACE INTO stage VALUES (?1, ?2, ?3)")
       .bind(name, record.fingerprint, outputs)
       .step();

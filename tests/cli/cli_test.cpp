@@ -216,6 +216,11 @@ TEST_F(Cli, WrongUsageIsExitCode2) {
       {"run", session().string(), "-o", fresh("x").string(), "--config", (folder_->path() / "bad.toml").string()});
   EXPECT_EQ(file.exit_code, 2);
   EXPECT_THAT(file.output, AllOf(HasSubstr("bad.toml"), HasSubstr("did you mean stereo.disparities?")));
+  const auto foreign = run_program({"tour", reference().string(), "-o", "x.mp4", "--mapping.cell", "0.1"});
+  EXPECT_EQ(foreign.exit_code, 2);
+  EXPECT_THAT(foreign.output, HasSubstr("--mapping.cell is no option of 'iris tour'"));
+  EXPECT_EQ(run_program({"tour", reference().string(), "-o", "x.avi"}).exit_code, 2);
+  EXPECT_EQ(run_program(run_arguments(session(), fresh("x"), {"--tour.width", "161"})).exit_code, 2);
   EXPECT_EQ(run_program({"--help"}).exit_code, 0);
   EXPECT_THAT(run_program({"run", "--help"}).output, AllOf(HasSubstr("--stereo.disparities"), HasSubstr("px")));
 }
@@ -299,6 +304,35 @@ TEST_F(Cli, InfoTellsOfSessionsAndOutputs) {
   EXPECT_THAT(made.output, AllOf(HasSubstr("14 with a pose"), HasSubstr("1 sub-maps"), HasSubstr("model/scene.glb")));
 }
 
+TEST_F(Cli, ARecordingOfABareWallIsNoBug) {
+  const fs::path bare = copied("bare"), out = fresh("bare_out");
+  for (const auto& entry : fs::recursive_directory_iterator(bare)) {
+    if (entry.path().extension() == ".png") cv::imwrite(entry.path().string(), cv::Mat1b(240, 320, uint8_t(120)));
+  }
+  const auto result = run_program(run_arguments(bare, out));
+  EXPECT_EQ(result.exit_code, 4) << result.output;  // every frame is a sub-map of its own
+  EXPECT_TRUE(fs::exists(out / "tour/tour.mp4"));
+}
+
+TEST_F(Cli, UncompressedRecordingsOfOneSizeAreToldApart) {
+  const fs::path a = copied("pgm_a"), b = copied("pgm_b"), out = fresh("pgm_out");
+  for (const fs::path& folder : {a, b}) {
+    for (const char* side : {"left", "right"}) {
+      for (int i = 0; i < 14; ++i) {
+        char name[16];
+        std::snprintf(name, sizeof name, "%06d", i);
+        const fs::path file = folder / side / name;
+        cv::Mat image = cv::imread(file.string() + ".png", cv::IMREAD_GRAYSCALE);
+        if (folder == b) image = 255 - image;
+        fs::remove(file.string() + ".png");
+        cv::imwrite(file.string() + ".pgm", image);
+      }
+    }
+  }
+  ASSERT_EQ(run_program(run_arguments(a, out)).exit_code, 0);
+  EXPECT_EQ(run_program(run_arguments(b, out)).exit_code, 3);
+}
+
 TEST_F(Cli, RectifyWritesASessionAndStereoItsDisparities) {
   const fs::path rectified = fresh("rectified");
   ASSERT_EQ(run_program({"rectify", session().string(), "-o", rectified.string(), "--quiet"}).exit_code, 0);
@@ -311,6 +345,9 @@ TEST_F(Cli, RectifyWritesASessionAndStereoItsDisparities) {
   const cv::Mat code = cv::imread(disparity.string(), cv::IMREAD_UNCHANGED);
   ASSERT_EQ(code.type(), CV_16UC1);
   EXPECT_GT(cv::countNonZero(code), code.rows * code.cols / 2);
+  // Nothing is overwritten: neither a recording nor an earlier result.
+  EXPECT_EQ(run_program({"rectify", session().string(), "-o", session().string()}).exit_code, 3);
+  EXPECT_EQ(run_program({"rectify", session().string(), "-o", rectified.string()}).exit_code, 3);
   EXPECT_EQ(run_program({"stereo", (rectified / "left/000003.png").string(), "nothing.png", "-o", "x.png"}).exit_code,
             3);
 }
@@ -322,6 +359,11 @@ TEST_F(Cli, ExportAndTourMakeProductsAgain) {
   ASSERT_EQ(run_program({"export", out.string(), "--only", "map", "--mapping.cell", "0.2", "--quiet"}).exit_code, 0);
   EXPECT_THAT(read_file(out / "map/map.yaml"), HasSubstr("resolution: 0.2"));
   EXPECT_EQ(fs::last_write_time(out / "model/scene.glb"), scene_time);
+  EXPECT_THAT(read_file(out / "options.toml"), HasSubstr("cell = 0.2 "));
+  // Options of products that were not written again are not taken over.
+  ASSERT_EQ(run_program({"export", out.string(), "--only", "trajectory", "--mapping.cell", "0.3", "--quiet"}).exit_code,
+            0);
+  EXPECT_THAT(read_file(out / "options.toml"), HasSubstr("cell = 0.2 "));
   EXPECT_EQ(run_program({"export", out.string(), "--only", "sculpture"}).exit_code, 2);
   const fs::path video = folder_->path() / "other.mp4";
   ASSERT_EQ(run_program({"tour", out.string(), "-o", video.string(), "--tour.seconds", "1", "--quiet"}).exit_code, 0);

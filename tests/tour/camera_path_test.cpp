@@ -106,8 +106,8 @@ TEST(Along, ShakingIsCalmed) {
 TEST(Along, LengthIsThatOfTheRecordingWithinLimits) {
   const TourOptions options;
   EXPECT_NEAR(duration(along(line(3), options, 4)), 8, 1e-9);
-  EXPECT_NEAR(duration(along(line(12), options, 4)), 12, 1e-9);
-  EXPECT_NEAR(duration(along(line(60), options, 4)), 15, 1e-9);
+  EXPECT_NEAR(duration(along(line(9), options, 4)), 9, 1e-9);
+  EXPECT_NEAR(duration(along(line(60), options, 4)), 10, 1e-9);
   EXPECT_NEAR(duration(along(line(240), options, 4)), 30, 1e-9);
   TourOptions fixed;
   fixed.seconds = 4.5;

@@ -23,7 +23,7 @@ class PathFile : public ::testing::Test {
   }
   std::string problem_of(const std::string& text) {
     try {
-      read_camera_path(write(text));
+      read_camera_path_file(write(text));
     } catch (const InputError& error) {
       return error.what();
     }
@@ -86,7 +86,7 @@ TEST_F(PathFile, MistakesAreNamed) {
   EXPECT_THAT(problem_of(file_with(R"({"camera_to_world": [1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1], "fov": 190})")),
               HasSubstr("below 180"));
   EXPECT_THAT(problem_of(file_with("7")), HasSubstr("camera_path[0]"));
-  EXPECT_THROW(read_camera_path("/nowhere/path.json"), InputError);
+  EXPECT_THROW(read_camera_path_file("/nowhere/path.json"), InputError);
 }
 
 }  // namespace

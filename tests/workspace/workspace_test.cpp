@@ -181,6 +181,11 @@ TEST(Workspace, StagesAreFinishedByFingerprintAndOutputs) {
   workspace.finish("map", {.fingerprint = "1", .outputs = {"map/map.png"}});
   EXPECT_TRUE(workspace.finished("map", "1"));
   EXPECT_FALSE(workspace.finished("map", "2"));
+  EXPECT_EQ(workspace.stage("map")->outputs, std::vector<std::string>{"map/map.png"});
+  write_file(folder.path() / "out/map/map.png", "");
+  EXPECT_FALSE(workspace.finished("map", "1"));
+  write_file(folder.path() / "out/map/map.png", "y");
+  EXPECT_TRUE(workspace.finished("map", "1"));
   std::filesystem::remove(folder.path() / "out/map/map.png");
   EXPECT_FALSE(workspace.finished("map", "1"));
   write_file(folder.path() / "out/map/map.png", "x");
@@ -217,6 +222,7 @@ TEST(Workspace, RefusesAnotherSessionsOutputForeignFoldersAndASecondRun) {
     const Workspace workspace = Workspace::create(out, "/recordings/a", "aaaa");
     EXPECT_THAT(error_of([&] { Workspace::create(out, "/recordings/a", "aaaa"); }),
                 ::testing::HasSubstr("another iris is working"));
+    EXPECT_EQ(Workspace::open(out, Workspace::Access::read_only).session_folder(), "/recordings/a");
   }
   EXPECT_THAT(error_of([&] { Workspace::create(out, "/recordings/b", "bbbb"); }),
               ::testing::AllOf(::testing::HasSubstr("another session"), ::testing::HasSubstr("/recordings/a")));

@@ -18,7 +18,7 @@ struct Options {
   motion::ScsOptions motion;
   views::ViewsOptions views;
   mapping::FlogOptions mapping;
-  render::DsnvOptions render;
+  render::DsnvOptions render{.step = 2};  // the pictures of a tour pass by: half the time for 0.6 dB less
   tour::TourOptions tour;
 
   void declare(OptionSet& set) {

@@ -13,7 +13,7 @@ struct TourOptions {
   int width = 640;       // [px] even (the video format wants it)
   int height = 480;      // [px] even
   double fps = 10;       // [1/s] frames of the tour per second
-  double seconds = 0;    // [s] length of the tour; 0 = automatic: the recording's own length, at least 8 and at most 15
+  double seconds = 0;    // [s] length of the tour; 0 = automatic: the recording's own length, at least 8 and at most 10
   double max_speed = 8;  // [times] but the automatic length shows a long recording at most so many times faster
   double back = -1;      // [m] the virtual camera flies so far behind the recording one; < 0 = automatic
   double above = -1;     // [m] and so far above it; < 0 = automatic

@@ -18,7 +18,4 @@ struct CameraPathFile {
 // them in `seconds`, the first at 0. Throws InputError that names the entry.
 CameraPathFile read_camera_path_file(const std::filesystem::path& file);
 
-// Only the path.
-CameraPath read_camera_path(const std::filesystem::path& file);
-
 }  // namespace iris::tour

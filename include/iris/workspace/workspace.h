@@ -44,8 +44,10 @@ class Workspace {
   // output of another session, is in use by another run, or cannot be written.
   static Workspace create(const std::filesystem::path& folder, const std::string& session_folder,
                           const std::string& session_identity);
-  // Opens the finished or partial output of an earlier run. Throws InputError if there is none.
-  static Workspace open(const std::filesystem::path& folder);
+  // Opens the finished or partial output of an earlier run. Reading only needs no write access and works while a run is
+  // under way. Throws InputError if there is none.
+  enum class Access { read_write, read_only };
+  static Workspace open(const std::filesystem::path& folder, Access access = Access::read_write);
 
   Workspace(Workspace&&) noexcept;
   Workspace& operator=(Workspace&&) noexcept;
@@ -54,11 +56,12 @@ class Workspace {
   const std::filesystem::path& folder() const;
   std::string session_folder() const;
 
-  // Small named values (rectified camera, search range, …), stored until clear_frames().
+  // Small named values (the search range, …), stored until clear_frames().
   std::optional<std::string> value(const std::string& name) const;
   void set_value(const std::string& name, const std::string& text);
 
-  // Stages. finished() is true if the record has this fingerprint and all its outputs are there.
+  // Stages. finished() is true if the record has this fingerprint and all its outputs are there with
+  // the size that they had.
   bool finished(const std::string& stage, const std::string& fingerprint) const;
   std::optional<StageRecord> stage(const std::string& stage) const;
   void finish(const std::string& stage, const StageRecord& record);

@@ -24,8 +24,9 @@ void check_size(const cv::Mat& image, const CameraModel& camera, const std::file
 // Notes a baseline that no rig of cameras has: lengths in millimetres or in squares of the target.
 void note_unit(const StereoCalibration& calibration, std::vector<std::string>& notes);
 
-// "<name> <size> <hash>" of a recorded file, wherever it lies. The hash covers three samples of the content: uncompressed
-// images of one camera all have the same size, and reading everything twice would take as long as the reconstruction.
+// "<name> <size> <hash>" of a recorded file, wherever it lies. The hash covers three samples of the content:
+// uncompressed images of one camera all have the same size, and reading everything twice would take as long as the
+// reconstruction.
 std::string file_text(const std::filesystem::path& file);
 
 // Lines of the frames, then the calibration: what fingerprint_text returns.

@@ -6,10 +6,10 @@ set -euo pipefail
 
 build=(
   ca-certificates git g++ cmake ninja-build pkg-config
-  libceres-dev libeigen3-dev libfmt-dev libhwy-dev libopencv-dev libspdlog-dev libsqlite3-dev libtbb-dev
+  libceres-dev libeigen3-dev libembree-dev libfmt-dev libhwy-dev libopencv-dev libspdlog-dev libsqlite3-dev libtbb-dev
   libtomlplusplus-dev libyaml-cpp-dev nlohmann-json3-dev
 )
-export_and_program=(ffmpeg libcli11-dev liboctomap-dev libtinygltf-dev)
+export_and_program=(ffmpeg fonts-dejavu-core libassimp-dev libcairo2-dev libcli11-dev liboctomap-dev libtinygltf-dev)
 tests=(clang-format-14 libgmock-dev libgtest-dev octomap-tools)
 
 wanted=("${build[@]}" "${export_and_program[@]}")

@@ -109,7 +109,7 @@ MotionEstimate estimate_from(const std::vector<Correspondence>& initial, int tur
     estimate.status = MotionStatus::degenerate;
     if (!motion) return estimate;
     const size_t before = pairs.size();
-    pairs = without_suspicious(pairs, *motion, camera, options.pixel_error);
+    if (options.reject_suspicious) pairs = without_suspicious(pairs, *motion, camera, options.pixel_error);
     suspicious = pairs.size() != before || !minimised.converged;
     estimate.used = static_cast<int>(pairs.size());
     estimate.status = MotionStatus::too_few_consistent;
@@ -169,6 +169,8 @@ void ScsOptions::declare(OptionSet& set) {
           "when no motion is found, also try the view turned by 90, 180 and 270 degrees about its axis");
   set.add("max_turn", max_turn, "deg", 1, 180, "largest rotation between two views, theta (5.3)");
   set.add("min_used", min_used, "", 4, 1000, "fewer correspondences than this are a failure");
+  set.add("reject_suspicious", reject_suspicious,
+          "drop correspondences that fit a first estimate too badly to belong to the others (Chauvenet, 5.4)");
   set.add("huber_px", huber_px, "px", 0, 100, "errors beyond this count linearly in the last minimisation; 0 = off");
   set.add("max_rms_px", max_rms_px, "px", 0.01, 100, "a motion that leaves larger image errors than this is rejected");
   set.add("max_rotation_error", max_rotation_error, "deg", 0.001, 180,

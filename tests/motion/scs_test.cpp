@@ -84,6 +84,20 @@ TEST_P(EstimateMotion, RecoversAQuarterTurnAboutTheOpticalAxis) {
   }
 }
 
+TEST(RejectSuspicious, SwitchedOffUsesAllConsistentPairs) {
+  ScsOptions options;
+  const ViewFeatures prev = features_at(pose({-0.2, 0, -1.5}, 5, -3, 2), options);
+  const ViewFeatures cur = features_at(pose({0.05, 0.05, -1.4}, 8, -2, 4), options);
+  const MotionEstimate with = estimate_motion(prev, cur, kCamera, options);
+  options.reject_suspicious = false;
+  const MotionEstimate without = estimate_motion(prev, cur, kCamera, options);
+  ASSERT_EQ(with.status, MotionStatus::ok);
+  ASSERT_EQ(without.status, MotionStatus::ok);
+  EXPECT_EQ(without.consistent, with.consistent);
+  EXPECT_EQ(without.used, without.consistent);
+  EXPECT_LT(with.used, with.consistent);
+}
+
 INSTANTIATE_TEST_SUITE_P(Models, EstimateMotion, ::testing::Values("spherical", "ellipsoid", "drift", "image"),
                          [](const auto& info) { return info.param; });
 

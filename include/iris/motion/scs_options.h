@@ -23,6 +23,7 @@ struct ScsOptions {
   double max_turn = 45.0;  // [deg] largest rotation between the views (theta of 5.3)
   // Result.
   int min_used = 8;                 // fewer correspondences than this are a failure
+  bool reject_suspicious = true;    // Chauvenet's criterion (5.4)
   double huber_px = 0.3;            // [px] errors beyond this count linearly in the last minimisation; 0 = off
   double max_rms_px = 0.5;          // [px] image error per coordinate that a good motion does not exceed
   double max_rotation_error = 1.0;  // [deg] an estimate whose rotation is less certain (one sigma) is degenerate

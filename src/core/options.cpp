@@ -189,11 +189,12 @@ void OptionSet::read_toml(const std::filesystem::path& path) {
   });
 }
 
-std::string OptionSet::to_toml() const {
+std::string OptionSet::to_toml(const std::vector<std::string>& sections) const {
   std::string text, section;
   for (const Option& option : options_) {
     const size_t dot = option.name.rfind('.');
     const std::string own_section = dot == std::string::npos ? "" : option.name.substr(0, dot);
+    if (!sections.empty() && std::find(sections.begin(), sections.end(), own_section) == sections.end()) continue;
     if (own_section != section) {
       section = own_section;
       text += fmt::format("\n[{}]\n", section);

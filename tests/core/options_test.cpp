@@ -18,6 +18,7 @@ namespace {
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::Not;
 using ::testing::StartsWith;
 
 struct Sample {
@@ -159,6 +160,13 @@ TEST_F(Options, TomlTeachesUnitsRangesAndHelp) {
   EXPECT_THAT(set_.to_toml(),
               AllOf(HasSubstr("[stereo]\n"), HasSubstr("disparities = 64  # [px] searched range; 1 to 1024\n"),
                     HasSubstr("interpolation = \"within\"  # which gaps are filled; one of off|within|everywhere\n")));
+}
+
+TEST_F(Options, TomlOfSomeSectionsHoldsThemAlone) {
+  const std::string whole = set_.to_toml(), stereo = set_.to_toml({"stereo"});
+  EXPECT_THAT(stereo, AllOf(HasSubstr("[stereo]\n"), Not(HasSubstr("[map]"))));
+  EXPECT_THAT(whole, AllOf(HasSubstr(stereo), HasSubstr("[map]")));
+  EXPECT_EQ(set_.to_toml({"ster"}), "");
 }
 
 TEST_F(Options, AreReadFromTablesAndDottedKeys) {

@@ -43,8 +43,9 @@ class OptionSet {
   // Reads a TOML file with [section] tables or dotted keys. Throws InputError naming the file and the key.
   void read_toml(const std::filesystem::path& path);
 
-  // All options as TOML, with unit and help as comments; read_toml of it gives the same values back.
-  std::string to_toml() const;
+  // The options of these sections (none named: all) as TOML, with unit and help as comments; read_toml of it gives the
+  // same values back.
+  std::string to_toml(const std::vector<std::string>& sections = {}) const;
 
   // Throws UsageError that lists every value that violates its range, with value and constraint.
   void validate() const;

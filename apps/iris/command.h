@@ -59,5 +59,6 @@ Command add_rectify(CLI::App& program);
 Command add_stereo(CLI::App& program);
 Command add_export(CLI::App& program);
 Command add_tour(CLI::App& program);
+Command add_evaluate(CLI::App& program);
 
 }  // namespace iris::app

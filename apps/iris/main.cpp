@@ -70,8 +70,9 @@ int run(int argc, char** argv) {
   program.set_version_flag("--version", "iris " IRIS_VERSION);
   program.require_subcommand(1);
   const std::vector<std::pair<std::string, Command>> commands = {
-      {"run", add_run(program)},       {"info", add_info(program)},     {"rectify", add_rectify(program)},
-      {"stereo", add_stereo(program)}, {"export", add_export(program)}, {"tour", add_tour(program)},
+      {"run", add_run(program)},           {"info", add_info(program)},     {"rectify", add_rectify(program)},
+      {"stereo", add_stereo(program)},     {"export", add_export(program)}, {"tour", add_tour(program)},
+      {"evaluate", add_evaluate(program)},
   };
   try {
     program.parse(argc, argv);

@@ -2,12 +2,13 @@
 #include <gtest/gtest.h>
 #include <spdlog/spdlog.h>
 
-#include <Eigen/Geometry>
-#include <algorithm>
-#include <fstream>
+#include <cmath>
 #include <iostream>
 
+#include "iris/core/atomic_file.h"
 #include "iris/core/parallel.h"
+#include "iris/evaluate/formats.h"
+#include "iris/evaluate/trajectory.h"
 #include "iris/pipeline/frames.h"
 #include "support/temporary_folder.h"
 #include "support/test_data.h"
@@ -38,12 +39,10 @@ Result reconstruct(const std::filesystem::path& recording) {
   return {workspace.pose_graph(world_from_submap()), summarise_frames(workspace), session->size()};
 }
 
-// Root mean square distance of the positions after the best rigid alignment [m].
-double absolute_trajectory_error(const Eigen::Matrix3Xd& estimate, const Eigen::Matrix3Xd& truth) {
-  const Eigen::Matrix4d truth_from_estimate = Eigen::umeyama(estimate, truth, false);
-  const Eigen::Matrix3Xd aligned =
-      (truth_from_estimate.topLeftCorner<3, 3>() * estimate).colwise() + truth_from_estimate.topRightCorner<3, 1>();
-  return std::sqrt((aligned - truth).colwise().squaredNorm().mean());
+evaluate::Trajectory trajectory_of(const PoseGraph& graph) {
+  evaluate::Trajectory trajectory;
+  for (const PoseNode& node : graph.nodes) trajectory.push_back({node.stamp_ns, node.world_from_cam});
+  return trajectory;
 }
 
 TEST(Recordings, EurocMachineHall) {
@@ -52,30 +51,15 @@ TEST(Recordings, EurocMachineHall) {
   EXPECT_EQ(result.summary.posed, 160);
   EXPECT_EQ(result.summary.submaps, 1);
 
-  // Truth at 200 Hz, interpolated at the time of each frame. Rectification turns the camera about its centre: positions
-  // are those of the recorded left camera.
-  std::vector<std::pair<double, Eigen::Vector3d>> truth;
-  std::ifstream file(test_data("euroc_mh01") / "truth_left_camera.tum");
-  for (std::string line; std::getline(file, line);) {
-    std::istringstream numbers(line);
-    double t, x, y, z;
-    if (numbers >> t >> x >> y >> z) truth.emplace_back(t, Eigen::Vector3d(x, y, z));
-  }
-  ASSERT_GT(truth.size(), 100u);
-  Eigen::Matrix3Xd estimate(3, result.graph.nodes.size()), expected(3, result.graph.nodes.size());
-  for (size_t i = 0; i < result.graph.nodes.size(); ++i) {
-    const PoseNode& node = result.graph.nodes[i];
-    const double t = static_cast<double>(node.stamp_ns) * 1e-9;
-    const auto after = std::lower_bound(truth.begin() + 1, truth.end() - 1, t,
-                                        [](const auto& entry, double time) { return entry.first < time; });
-    const auto before = after - 1;
-    const double part = (t - before->first) / (after->first - before->first);
-    estimate.col(i) = node.world_from_cam.translation();
-    expected.col(i) = before->second + part * (after->second - before->second);
-  }
-  const double error = absolute_trajectory_error(estimate, expected);
+  // Rectification turns the camera about its centre: positions are those of the recorded left camera.
+  const auto truth_path = test_data("euroc_mh01") / "truth_left_camera.tum";
+  const evaluate::TrajectoryErrors errors = evaluate::evaluate_trajectory(
+      trajectory_of(result.graph), evaluate::parse_tum(read_file(truth_path), truth_path), {});
+  EXPECT_EQ(errors.pairs.size(), 160u);
+  const double error = errors.absolute.translation.rmse;
   std::cout << "ATE " << error * 1000 << " mm\n";
   EXPECT_LE(error, 0.030);  // a plain feature odometry gets 6 mm, a stereo matcher with few valid pixels 36 mm
+  EXPECT_LE(errors.absolute.rotation.rmse, 0.5 * M_PI / 180);
 }
 
 TEST(Recordings, KittiStreet) {
@@ -84,18 +68,17 @@ TEST(Recordings, KittiStreet) {
   EXPECT_EQ(result.summary.posed, 51);
   EXPECT_EQ(result.summary.submaps, 1);
   ASSERT_EQ(result.graph.nodes.size(), 51u);
-  std::ifstream file(test_data("kitti_street") / "poses.txt");
-  Eigen::Vector3d truth_end;
-  double number;
-  for (int i = 0; file >> number; ++i) {
-    if (i % 12 % 4 == 3) truth_end(i % 12 / 4) = number;  // the last line stays
+  const auto truth_path = test_data("kitti_street") / "poses.txt";
+  const auto poses = evaluate::parse_kitti(read_file(truth_path), truth_path);
+  evaluate::Trajectory truth;
+  for (const PoseNode& node : result.graph.nodes) {
+    truth.push_back({node.stamp_ns, poses.at(static_cast<size_t>(node.frame_idx)).value()});
   }
-  const Pose first_from_last =
-      result.graph.nodes.front().world_from_cam.inverse() * result.graph.nodes.back().world_from_cam;
-  const double error = (first_from_last.translation() - truth_end).norm();
-  std::cout << "end-point error " << error << " m of " << truth_end.norm() << " m = " << 100 * error / truth_end.norm()
-            << " %\n";
-  EXPECT_LE(error, 0.03 * truth_end.norm());
+  const evaluate::TrajectoryErrors errors = evaluate::evaluate_trajectory(trajectory_of(result.graph), truth, {});
+  const double end_point = errors.closing_translation / errors.true_path;
+  std::cout << "end-point error " << errors.closing_translation << " m of " << errors.true_path
+            << " m = " << 100 * end_point << " %\n";
+  EXPECT_LE(end_point, 0.03);
 }
 
 TEST(Recordings, RoverInASandbox) {

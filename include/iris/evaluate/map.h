@@ -1,0 +1,73 @@
+// Errors of a map from above against a true plan (thesis 6.4).
+#pragma once
+
+#include <cstdint>
+#include <opencv2/core.hpp>
+
+#include "iris/evaluate/formats.h"
+#include "iris/geometry/pose.h"
+
+namespace iris::evaluate {
+
+enum class Cell : uint8_t {
+  unknown = 0,
+  free = 1,
+  occupied = 2,
+  occupied_uncertain = 3,  // of true plans: a surface without texture or that no camera saw; need not be found
+};
+
+struct GridMap {
+  cv::Mat1b cells;                             // Cell; row 0 = largest y
+  double resolution = 0;                       // [m]
+  double origin_x = 0, origin_y = 0, yaw = 0;  // [m], [rad] lower-left corner of the lower-left cell in the world
+
+  // Cell that holds a point of the world (may lie outside).
+  cv::Point cell_of(double x, double y) const;
+  // Centre of a cell in the world.
+  Eigen::Vector2d centre_of(cv::Point cell) const;
+  // unknown outside.
+  Cell at(cv::Point cell) const;
+};
+
+// Cells by the thresholds of the header, as ROS's trinary mode reads them. `plan`: grey values that
+// simulate::PlanValue names as plain or unseen become occupied_uncertain.
+GridMap grid_map(const cv::Mat1b& grey, const RosMapHeader& header, bool plan);
+
+struct MapOptions {
+  int tolerance = 1;  // [cells] of the true plan, in each direction (Chebyshev distance)
+};
+
+struct MapErrors {
+  // Estimated occupied cells.
+  int64_t occupied = 0;             // all
+  int64_t occupied_right = 0;       // a true occupied cell is within the tolerance
+  int64_t occupied_not_judged = 0;  // only an uncertain one is
+  int64_t occupied_outside = 0;     // of the wrong ones: outside of the plan
+  // True occupied cells (seen, textured).
+  int64_t true_occupied = 0;
+  int64_t found = 0;  // an estimated occupied cell is within the tolerance
+  // Estimated free cells.
+  int64_t free = 0;
+  int64_t free_wrong = 0;  // truly occupied, and no estimated occupied cell is within the tolerance: a hole in a wall
+  int64_t true_free = 0;
+  int64_t found_free = 0;  // an estimated free cell is within the tolerance
+  // [m] from the estimated occupied cells that are judged to the nearest true occupied cell of any kind.
+  double distance_mean = 0, distance_median = 0, distance_rms = 0;
+
+  // [%]; 0 if there is nothing to judge.
+  double occupied_precision() const;
+  double occupied_recall() const;
+  double free_precision() const;
+  double free_recall() const;
+};
+
+// `truth_from_estimate`: world of the truth from the world of the map; its translation and its turn about z are used.
+MapErrors evaluate_map(const GridMap& estimate, const GridMap& truth, const Pose& truth_from_estimate,
+                       const MapOptions& options);
+
+// The truth's cells with the estimate on it (BGR): dark green found, red wrong, orange missing, grey uncertain, white
+// free in the estimate, light grey free in the truth only.
+cv::Mat3b map_picture(const GridMap& estimate, const GridMap& truth, const Pose& truth_from_estimate,
+                      const MapOptions& options);
+
+}  // namespace iris::evaluate

@@ -1,0 +1,186 @@
+#include "export/evaluation.h"
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstring>
+#include <nlohmann/json.hpp>
+#include <opencv2/imgcodecs.hpp>
+
+#include "iris/core/atomic_file.h"
+#include "iris/core/error.h"
+#include "support/temporary_folder.h"
+
+namespace iris::exporters {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+class EvaluationTest : public ::testing::Test {
+ protected:
+  fs::path file(const std::string& name, const std::string& text) {
+    write_file(folder_.path() / name, text);
+    return folder_.path() / name;
+  }
+  fs::path image(const std::string& name, const cv::Mat& pixels) {
+    cv::imwrite((folder_.path() / name).string(), pixels);
+    return folder_.path() / name;
+  }
+  static nlohmann::json figures(const EvaluationRequest& request) {
+    return nlohmann::json::parse(evaluate_files(request).json());
+  }
+  static std::string problem(const EvaluationRequest& request) {
+    try {
+      evaluate_files(request);
+    } catch (const InputError& error) {
+      return error.what();
+    }
+    return "";
+  }
+
+  iris::testing::TemporaryFolder folder_;
+};
+
+// A circle of 1 m, 40 poses at 10 Hz, of `scale`, from `start` s.
+std::string circle(double scale, double start = 100) {
+  std::string text = "# a circle\n";
+  for (int i = 0; i < 40; ++i) {
+    const double a = 0.1 * i;
+    text += fmt::format("{:.9f} {} {} 0 0 0 {} {}\n", start + 0.1 * i, scale * std::cos(a), scale * std::sin(a),
+                        std::sin(a / 2), std::cos(a / 2));
+  }
+  return text;
+}
+
+TEST_F(EvaluationTest, TrajectoryFiles) {
+  EvaluationRequest request{.estimate = file("estimate.txt", circle(1.02)), .truth = file("truth.tum", circle(1))};
+  request.plots = folder_.path() / "plots";
+  const auto json = figures(request);
+  EXPECT_EQ(json["trajectory"]["poses"], 40);
+  EXPECT_NEAR(json["trajectory"]["scale_error"].get<double>(), 2, 1e-6);
+  EXPECT_GT(json["trajectory"]["ate_rmse"].get<double>(), 0.005);
+  EXPECT_EQ(json["trajectory"]["errors"][0]["unit"], "mm");
+  request.trajectory.with_scale = true;
+  EXPECT_LT(figures(request)["trajectory"]["ate_rmse"].get<double>(), 1e-9);
+  for (const char* name : {"trajectory_path", "trajectory_translation_error", "trajectory_rotation_error"}) {
+    EXPECT_TRUE(fs::exists(request.plots / (std::string(name) + ".png"))) << name;
+    EXPECT_TRUE(fs::exists(request.plots / (std::string(name) + ".svg"))) << name;
+  }
+  EXPECT_THAT(evaluate_files(request).text(),
+              AllOf(HasSubstr("absolute error of the position (ATE), RMS"), HasSubstr("turn, shift and scale")));
+}
+
+TEST_F(EvaluationTest, BadTrajectoriesAreNamedWithTheRemedy) {
+  const fs::path truth = file("truth.tum", circle(1));
+  EXPECT_THAT(problem({.estimate = file("later.txt", circle(1, 500)), .truth = truth}),
+              AllOf(HasSubstr("500.000 … 503.900 s"), HasSubstr("100.000 … 103.900 s"), HasSubstr("the session that")));
+  EXPECT_THAT(problem({.estimate = file("empty.txt", ""), .truth = truth}), HasSubstr("holds no pose"));
+  EXPECT_THAT(problem({.estimate = file("nan.txt", "100 nan 0 0 0 0 0 1\n"), .truth = truth}), HasSubstr("not finite"));
+  EXPECT_THAT(problem({.estimate = folder_.path() / "none.txt", .truth = truth}), HasSubstr("no such file"));
+  EXPECT_THAT(problem({.estimate = truth, .truth = folder_.path() / "none.txt"}), HasSubstr("no such file"));
+  EXPECT_THAT(problem({.estimate = file("kitti.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n"), .truth = truth}),
+              HasSubstr("the output folder"));
+  EXPECT_THAT(problem({.estimate = file("a.docx", "x"), .truth = truth}), HasSubstr("--kind"));
+  EXPECT_THAT(problem({.estimate = folder_.path(), .truth = truth}), HasSubstr("no output folder"));
+}
+
+TEST_F(EvaluationTest, DisparitiesOfAllKindsOfFiles) {
+  // Half of the truth is unknown; the estimate is 0.75 px too large.
+  const cv::Mat1w estimate(20, 30, uint16_t{10 * 256 + 192});
+  cv::Mat1w truth16(20, 30, uint16_t{10 * 256});
+  truth16.rowRange(0, 10) = uint16_t{0};
+  cv::Mat1b truth8(20, 30, uint8_t{160});
+  truth8.rowRange(0, 10) = uint8_t{0};
+  const fs::path path = image("e.disparity.png", estimate);
+  const auto expect_good = [&](EvaluationRequest request) {
+    const auto json = figures(request)["disparities"];
+    EXPECT_EQ(json["known"], 300) << request.truth;
+    EXPECT_NEAR(json["subpixel_bias"].get<double>(), 0.75, 1e-6) << request.truth;
+    EXPECT_EQ(json["regions"][0]["wrong_0.5px"], 100);
+    EXPECT_EQ(json["regions"][0]["wrong_1px"], 0);
+  };
+  expect_good({.estimate = path, .truth = image("t16.png", truth16)});
+  EvaluationRequest scaled{.estimate = path, .truth = image("t8.pgm", truth8)};
+  EXPECT_THAT(problem(scaled), HasSubstr("--truth-scale"));
+  scaled.truth_scale = 16;
+  expect_good(scaled);
+  // PFM: rows from the bottom up, unknown = infinite; both byte orders.
+  for (const bool big_endian : {false, true}) {
+    std::string pfm = fmt::format("Pf\n30 20\n{}\n", big_endian ? "0.5" : "-0.5");
+    for (int i = 0; i < 600; ++i) {
+      const float value = i < 300 ? 10.0f : std::numeric_limits<float>::infinity();
+      char bytes[4];
+      std::memcpy(bytes, &value, 4);
+      if (big_endian) std::reverse(bytes, bytes + 4);
+      pfm.append(bytes, 4);
+    }
+    expect_good({.estimate = path, .truth = file("t.pfm", pfm)});
+    EXPECT_THAT(problem({.estimate = path, .truth = file("cut.pfm", pfm.substr(0, 500))}), HasSubstr("cut off"));
+  }
+  // Origins beside the estimate are used, masks beside a truth in a folder disparity/ as well.
+  image("e.origin.png", cv::Mat1b(20, 30, uint8_t{3}));
+  cv::Mat1b occluded(20, 30, uint8_t{0});
+  occluded.col(0) = uint8_t{255};
+  for (const char* name : {"disparity", "occlusion", "discontinuity"}) fs::create_directories(folder_.path() / name);
+  image("disparity/000003.png", truth16);
+  image("occlusion/000003.png", occluded);
+  image("discontinuity/000003.png", occluded);
+  EvaluationRequest masked{.estimate = path, .truth = folder_.path() / "disparity/000003.png"};
+  masked.plots = folder_.path() / "plots";
+  const auto json = figures(masked)["disparities"];
+  EXPECT_EQ(json["subpixel"][1]["origin"], "within segments");
+  EXPECT_EQ(json["regions"][1]["region"], "seen by both cameras");
+  EXPECT_EQ(json["regions"][2]["known"], 10);
+  EXPECT_EQ(json["regions"][3]["known"], 10);
+  EXPECT_TRUE(fs::exists(masked.plots / "disparity_error.png"));
+  EXPECT_TRUE(fs::exists(masked.plots / "disparity_histogram.svg"));
+  EXPECT_THAT(problem({.estimate = path, .truth = image("small.png", cv::Mat1w(10, 30, uint16_t{1}))}),
+              AllOf(HasSubstr("30 x 10 px"), HasSubstr("30 x 20 px")));
+  EXPECT_THAT(problem({.estimate = path, .truth = image("zero.png", cv::Mat1w(20, 30, uint16_t{0}))}),
+              HasSubstr("no known disparity"));
+}
+
+TEST_F(EvaluationTest, MapsOfRos) {
+  cv::Mat1b plan(10, 20, uint8_t{254});
+  plan.row(0) = uint8_t{0};
+  plan.row(9) = uint8_t{32};
+  image("plan.png", plan);
+  cv::Mat1b map = plan.clone();
+  map.row(9) = uint8_t{205};
+  map(5, 5) = uint8_t{0};
+  image("map.pgm", map);
+  const std::string header =
+      "resolution: 0.1\norigin: [1, 2, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n";
+  EvaluationRequest request{.estimate = file("map.yaml", "image: map.pgm\n" + header),
+                            .truth = file("plan.yaml", "image: plan.png\n" + header)};
+  request.plots = folder_.path() / "plots";
+  const auto json = figures(request)["map"];
+  EXPECT_NEAR(json["occupied_precision"].get<double>(), 100.0 * 20 / 21, 1e-9);
+  EXPECT_EQ(json["occupied_recall"], 100);
+  EXPECT_EQ(json["free_precision"], 100);
+  EXPECT_TRUE(fs::exists(request.plots / "map_errors.svg"));
+  request.truth = file("lost.yaml", "image: nothing.png\n" + header);
+  EXPECT_THAT(problem(request), HasSubstr("nothing.png"));
+}
+
+TEST_F(EvaluationTest, PicturesWithHoles) {
+  cv::Mat3b truth(40, 40, cv::Vec3b(100, 120, 140));
+  cv::Mat3b estimate(40, 40, cv::Vec3b(104, 124, 144));
+  estimate.rowRange(0, 10) = cv::Vec3b(0, 0, 0);
+  EvaluationRequest request{.estimate = image("e.png", estimate), .truth = image("t.png", truth)};
+  EXPECT_LT(figures(request)["image"]["psnr"].get<double>(), 20);
+  request.mask = "black";
+  const auto json = figures(request)["image"];
+  EXPECT_NEAR(json["psnr"].get<double>(), 20 * std::log10(255.0 / 4), 1e-9);
+  EXPECT_EQ(json["coverage"], 75);
+  request.estimate = request.truth;
+  EXPECT_TRUE(figures(request)["image"]["psnr"].is_null());  // infinite
+  EXPECT_THAT(evaluate_files(request).text(), HasSubstr("infinite"));
+}
+
+}  // namespace
+}  // namespace iris::exporters

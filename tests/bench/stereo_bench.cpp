@@ -1,101 +1,261 @@
-// Milliseconds a frame of mwmf and of OpenCV's block matchers on one thread, in one run: stereo_bench [LEFT RIGHT [D]]
-// Without images: a rectified EuRoC pair if it is there, else a synthetic pair of the same size.
 #include <fmt/format.h>
+#include <hwy/highway.h>
 
-#include <algorithm>
-#include <chrono>
-#include <cstdlib>
-#include <filesystem>
-#include <functional>
 #include <opencv2/calib3d.hpp>
-#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
-#include <vector>
 
-#include "iris/core/parallel.h"
+#include "bench/bench.h"
+#include "bench/inputs.h"
 #include "iris/stereo/mwmf.h"
 #include "src/stereo/correlation.h"
 #include "src/stereo/filters.h"
 #include "src/stereo/interpolation.h"
 #include "src/stereo/log_filter.h"
-#include "support/simd_targets.h"
-#include "support/stereo_pairs.h"
 
+namespace iris::bench {
 namespace {
 
-double fastest_ms(int repetitions, const std::function<void()>& work) {
-  double best = 1e30;
-  for (int i = 0; i < repetitions; ++i) {
-    const auto start = std::chrono::steady_clock::now();
-    work();
-    best = std::min(best, std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count());
-  }
-  return best;
+using namespace iris::stereo;
+using benchmark::DoNotOptimize;
+using benchmark::State;
+
+struct Pair {
+  cv::Mat1b left, right;
+  int disparities;
+};
+using PairSource = std::function<const Pair&()>;
+
+const Pair& hand_held_pair() {
+  static const Pair pair{hand_held().pairs[0].left, hand_held().pairs[0].right, 128};
+  return pair;
 }
+
+// 640x480, 64 disparities and 1242x375, 128 disparities: what others report.
+const Pair& vga_pair() {
+  static const Pair pair = [] {
+    const Sequence room = render_sequence({500, 319.5, 239.5, 0.12, 0, 640, 480}, 1);
+    return Pair{room.pairs[0].left, room.pairs[0].right, 64};
+  }();
+  return pair;
+}
+const Pair& wide_pair() {
+  static const Pair pair = [] {
+    const Sequence room = render_sequence({720, 620.5, 187, 0.25, 0, 1242, 375}, 1);
+    return Pair{room.pairs[0].left, room.pairs[0].right, 128};
+  }();
+  return pair;
+}
+const Pair& street_pair() {
+  static const Pair pair{street()->pairs[0].left, street()->pairs[0].right, 128};
+  return pair;
+}
+
+MwmfOptions options_for(const Pair& pair) {
+  MwmfOptions options;
+  options.disparities = pair.disparities;
+  return options;
+}
+
+// Evaluations of the cost of a window: pixels times disparities.
+double evaluations(const Pair& pair) { return static_cast<double>(pair.left.total()) * pair.disparities; }
+
+cv::Ptr<cv::StereoMatcher> block_matcher(int disparities) {
+  const auto matcher = cv::StereoBM::create(disparities, 11);
+  matcher->setSpeckleWindowSize(100);
+  matcher->setSpeckleRange(1);
+  matcher->setDisp12MaxDiff(1);
+  return matcher;
+}
+
+cv::Ptr<cv::StereoMatcher> semi_global_matcher(int disparities, int mode) {
+  return cv::StereoSGBM::create(0, disparities, 5, 8 * 25, 32 * 25, 1, 63, 10, 100, 1, mode);
+}
+
+Contender mwmf_contender(const std::string& who, int threads, const PairSource& source,
+                         const std::function<void(MwmfOptions&)>& change = {}) {
+  return {who, [=](State& state) {
+            const Pair& pair = source();
+            MwmfOptions options = options_for(pair);
+            if (change) change(options);
+            measure(state, threads, [&] { DoNotOptimize(mwmf(pair.left, pair.right, options)); });
+            set_rate(state, "Mdisparities/s", evaluations(pair) * 1e-6);
+          }};
+}
+
+Contender opencv_contender(const std::string& who, int threads, const PairSource& source,
+                           const std::function<cv::Ptr<cv::StereoMatcher>(int)>& create) {
+  return {who, [=](State& state) {
+            const Pair& pair = source();
+            const auto matcher = create(pair.disparities);
+            cv::Mat disparity;
+            measure(state, threads, [&] { matcher->compute(pair.left, pair.right, disparity); });
+            set_rate(state, "Mdisparities/s", evaluations(pair) * 1e-6);
+          }};
+}
+
+const auto kSgbm = [](int disparities) { return semi_global_matcher(disparities, cv::StereoSGBM::MODE_SGBM); };
+const auto kSgbm3 = [](int disparities) { return semi_global_matcher(disparities, cv::StereoSGBM::MODE_SGBM_3WAY); };
+
+// One step after another, each on what those before it made.
+struct Steps {
+  cv::Mat1b left_log, right_log;
+  Census left_census, right_census;
+  Correlation correlation;
+  cv::Mat1w winner;
+  cv::Mat1f raw, disparity;
+  Segments segments;
+
+  explicit Steps(const Pair& pair) {
+    left_log = log_filter(pair.left, 1.0);
+    right_log = log_filter(pair.right, 1.0);
+    left_census = census_transform(pair.left);
+    right_census = census_transform(pair.right);
+    correlation = correlate(pair.disparities);
+    refined();
+    raw = disparity.clone();
+    segments = find_segments(disparity, 1);
+    reject_small(100, disparity, segments);
+  }
+  Correlation correlate(int disparities) const {
+    return stereo::correlate({left_log, left_census}, {right_log, right_census}, {disparities, 0, 7, 7, 16});
+  }
+  void refined() {
+    winner = correlation.winner.clone();
+    reject_ambiguous(correlation, 30, winner);
+    reject_one_sided(correlation.right_winner, 0, 1, winner);
+    disparity = refine(correlation, winner, 0, kSmallestDisparity);
+  }
+};
+Steps& steps() {
+  static Steps made(hand_held_pair());
+  return made;
+}
+
+Contender step(const std::string& who, const std::function<void()>& work) {
+  return {who, [=](State& state) {
+            steps();
+            measure(state, 1, work);
+          }};
+}
+
+Contender correlation_with(const std::string& who, int64_t target) {
+  return {who, [=](State& state) {
+            const Steps& made = steps();
+            if (target != 0) {
+              hwy::SetSupportedTargetsForTest(target);
+              hwy::GetChosenTarget().DeInit();
+            }
+            measure(state, 1, [&] { DoNotOptimize(made.correlate(hand_held_pair().disparities)); });
+            hwy::SetSupportedTargetsForTest(0);
+            hwy::GetChosenTarget().DeInit();
+            set_rate(state, "Mdisparities/s", evaluations(hand_held_pair()) * 1e-6);
+          }};
+}
+
+void register_steps(const std::string& input) {
+  compare("stereo step", "LoG, both images", input,
+          {step("IRIS",
+                [] {
+                  DoNotOptimize(log_filter(hand_held_pair().left, 1.0));
+                  DoNotOptimize(log_filter(hand_held_pair().right, 1.0));
+                }),
+           step("OpenCV GaussianBlur, Laplacian", [] {
+             for (const cv::Mat1b* image : {&hand_held_pair().left, &hand_held_pair().right}) {
+               cv::Mat smooth, log;
+               cv::GaussianBlur(*image, smooth, {7, 7}, 1);
+               cv::Laplacian(smooth, log, CV_16S, 3);
+               log.convertTo(log, CV_8U, 8, 128);
+               DoNotOptimize(log);
+             }
+           })});
+  compare("stereo step", "census, both images", input, {step("IRIS", [] {
+            DoNotOptimize(census_transform(hand_held_pair().left));
+            DoNotOptimize(census_transform(hand_held_pair().right));
+          })});
+  std::vector<Contender> targets = {correlation_with("IRIS", 0)};
+  const std::vector<int64_t> supported = hwy::SupportedAndGeneratedTargets();
+  for (size_t i = 1; i < supported.size(); ++i) {
+    targets.push_back(correlation_with(fmt::format("IRIS with {}", hwy::TargetName(supported[i])), supported[i]));
+  }
+  compare("stereo step", "correlation", input, targets);
+  compare("stereo step", "filters, sub-pixel", input, {step("IRIS", [] { steps().refined(); })});
+  compare("stereo step", "segment filter", input,
+          {step("IRIS",
+                [] {
+                  cv::Mat1f disparity = steps().raw.clone();
+                  Segments segments = find_segments(disparity, 1);
+                  reject_small(100, disparity, segments);
+                  DoNotOptimize(disparity);
+                }),
+           step("OpenCV filterSpeckles", [] {
+             cv::Mat1s fixed;
+             steps().raw.convertTo(fixed, CV_16S, 16);
+             cv::filterSpeckles(fixed, 0, 100, 16);
+             DoNotOptimize(fixed);
+           })});
+  compare("stereo step", "interpolation", input,
+          {{"IRIS", [](State& state) {
+              const Steps& made = steps();
+              cv::Mat1f disparity = made.raw.clone();
+              Segments segments = find_segments(disparity, 1);
+              reject_small(100, disparity, segments);
+              measure(state, 1, [&] { DoNotOptimize(interpolate(disparity, segments, Interpolation::everywhere)); });
+            }}});
+}
+
+// Here, and nowhere else, callgrind counts.
+[[gnu::noinline]] void counted(const std::function<void()>& work) { work(); }
 
 }  // namespace
 
-int main(int argc, char** argv) {
-  cv::setNumThreads(1);
-  cv::Mat1b left, right;
-  if (argc >= 3) {
-    left = cv::imread(argv[1], cv::IMREAD_GRAYSCALE);
-    right = cv::imread(argv[2], cv::IMREAD_GRAYSCALE);
-  } else if (std::filesystem::exists(iris::testing::test_data("euroc_mh01"))) {
-    std::tie(left, right) = iris::testing::rectified_euroc_pair(40);
-  } else {
-    std::tie(left, right) = iris::testing::slanted_pair(cv::Size(752, 480), 40.0, 0.05);
+void register_stereo() {
+  struct Input {
+    std::string name;
+    PairSource source;
+  };
+  std::vector<Input> inputs = {{hand_held().name + ", 128 disparities", hand_held_pair},
+                               {"room 640x480, 64 disparities", vga_pair},
+                               {"room 1242x375, 128 disparities", wide_pair}};
+  if (street()) inputs.push_back({street()->name + ", 128 disparities", street_pair});
+  for (const auto& [input, source] : inputs) {
+    compare("stereo", "dense disparities", input,
+            {mwmf_contender("IRIS", 1, source), opencv_contender("OpenCV StereoBM 11x11", 1, source, block_matcher),
+             opencv_contender("OpenCV StereoSGBM", 1, source, kSgbm),
+             opencv_contender("OpenCV StereoSGBM 3WAY", 1, source, kSgbm3)});
   }
-  if (left.empty() || left.size() != right.size()) {
-    fmt::print(stderr, "cannot read the images\n");
-    return 2;
-  }
-  iris::stereo::MwmfOptions options;
-  options.disparities = argc >= 4 ? std::atoi(argv[3]) : 128;
-  fmt::print("{}x{}, {} disparities, one thread, fastest of 10 [ms]\n", left.cols, left.rows, options.disparities);
-
-  iris::with_threads(1, [&] {
-    using namespace iris::stereo;
-    cv::Mat1b left_log, right_log;
-    fmt::print("  LoG, both images  {:6.1f}\n", fastest_ms(10, [&] {
-                 left_log = log_filter(left, options.log_sigma);
-                 right_log = log_filter(right, options.log_sigma);
-               }));
-    Census census_left, census_right;
-    fmt::print("  census, both      {:6.1f}\n", fastest_ms(10, [&] {
-                 census_left = census_transform(left);
-                 census_right = census_transform(right);
-               }));
-    Correlation correlation;
-    const CorrelationParameters parameters{options.disparities, 0, options.window_width, options.window_height, 16};
-    fmt::print("  correlation       {:6.1f}\n", fastest_ms(10, [&] {
-                 correlation = correlate({left_log, census_left}, {right_log, census_right}, parameters);
-               }));
-    iris::testing::for_each_simd_target([&](const char* target) {
-      fmt::print("    with {:12s} {:6.1f}\n", target, fastest_ms(3, [&] {
-                   correlation = correlate({left_log, census_left}, {right_log, census_right}, parameters);
-                 }));
-    });
-    cv::Mat1w winner;
-    cv::Mat1f disparity;
-    fmt::print("  filters, sub-pixel{:6.1f}\n", fastest_ms(10, [&] {
-                 winner = correlation.winner.clone();
-                 reject_ambiguous(correlation, 30, winner);
-                 reject_one_sided(correlation.right_winner, 0, 1, winner);
-                 disparity = refine(correlation, winner, 0, kSmallestDisparity);
-               }));
-    Segments segments;
-    fmt::print("  segments          {:6.1f}\n", fastest_ms(10, [&] {
-                 segments = find_segments(disparity, 1);
-                 reject_small(100, disparity, segments);
-               }));
-    fmt::print("  interpolation     {:6.1f}\n",
-               fastest_ms(10, [&] { interpolate(disparity, segments, Interpolation::everywhere); }));
-    fmt::print("mwmf, all of it     {:6.1f}\n", fastest_ms(10, [&] { mwmf(left, right, options); }));
-  });
-  cv::Mat disparity;
-  const auto bm = cv::StereoBM::create((options.disparities + 15) / 16 * 16, 9);
-  fmt::print("OpenCV StereoBM     {:6.1f}\n", fastest_ms(10, [&] { bm->compute(left, right, disparity); }));
-  const auto sgbm = cv::StereoSGBM::create(0, (options.disparities + 15) / 16 * 16, 5, 200, 800, 1, 63, 10, 100, 2);
-  fmt::print("OpenCV StereoSGBM   {:6.1f}\n", fastest_ms(3, [&] { sgbm->compute(left, right, disparity); }));
+  const auto& [input, source] = inputs[0];
+  compare("stereo", "grey values alone (thesis)", input,
+          {mwmf_contender("IRIS", 1, source, [](MwmfOptions& options) { options.measure = "difference"; }),
+           mwmf_contender("IRIS, census", 1, source)});
+  compare("stereo", "two threads", input,
+          {mwmf_contender("IRIS", 2, source), mwmf_contender("IRIS, one thread", 1, source),
+           opencv_contender("OpenCV StereoBM 11x11, two threads", 2, source, block_matcher),
+           opencv_contender("OpenCV StereoSGBM 3WAY, two threads", 2, source, kSgbm3)});
+  register_steps(input);
 }
+
+bool count_instructions(const std::string& work) {
+  const Sequence room = render_sequence({250, 159.5, 119.5, 0.12, 0, 320, 240}, 1);
+  const Pair pair{room.pairs[0].left, room.pairs[0].right, 64};
+  cv::setNumThreads(1);
+  std::function<void()> body;
+  if (work == "correlation") {
+    const auto made = std::make_shared<Steps>(pair);
+    body = [=] { DoNotOptimize(made->correlate(pair.disparities)); };
+  } else if (work == "mwmf") {
+    body = [=] { DoNotOptimize(mwmf(pair.left, pair.right, options_for(pair))); };
+  } else if (work == "StereoBM" || work == "StereoSGBM") {
+    const auto matcher = work == "StereoBM" ? block_matcher(pair.disparities) : kSgbm(pair.disparities);
+    body = [=] {
+      cv::Mat disparity;
+      matcher->compute(pair.left, pair.right, disparity);
+    };
+  } else {
+    return false;
+  }
+  with_threads(1, [&] { counted(body); });
+  fmt::print("{:.0f}\n", evaluations(pair));
+  return true;
+}
+
+}  // namespace iris::bench

@@ -1,0 +1,56 @@
+// Benchmarks in comparisons: IRIS and its peers do the same work on the same input in one run.
+#pragma once
+
+#include <benchmark/benchmark.h>
+
+#include <functional>
+#include <opencv2/core.hpp>
+#include <string>
+#include <vector>
+
+#include "iris/core/parallel.h"
+
+namespace iris::bench {
+
+// One that does the work. `run` prepares what is not timed, then calls measure().
+struct Contender {
+  std::string who;
+  std::function<void(benchmark::State&)> run;
+};
+
+// Registers the benchmarks "stage/work/input/who", one a contender; the table compares the first with each of the
+// others. No name contains a slash.
+void compare(const std::string& stage, const std::string& work, const std::string& input,
+             const std::vector<Contender>& contenders);
+
+// Times body() on so many threads, those of IRIS and of OpenCV. It is called once before, untimed: the first call pays
+// for memory and tables.
+template <typename Body>
+void measure(benchmark::State& state, int threads, Body&& body) {
+  cv::setNumThreads(threads);
+  with_threads(threads, [&] {
+    body();
+    for (auto _ : state) body();
+  });
+}
+
+// `amount` of something a call, shown as `unit`, which ends with "/s".
+inline void set_rate(benchmark::State& state, const char* unit, double amount) {
+  state.counters[unit] = benchmark::Counter(amount, benchmark::Counter::kIsIterationInvariantRate);
+}
+
+// The benchmarks of one or two stages each. quick: whole runs of a few frames only.
+void register_session();
+void register_rectify();
+void register_stereo();
+void register_motion();
+void register_mapping();
+void register_render();
+void register_views();
+void register_run(bool quick);
+
+// Does what is named `work` once, on a small rendered pair, inside of iris::bench::counted(), where callgrind counts.
+// Prints the number of pixels times disparities. False if there is no such work.
+bool count_instructions(const std::string& work);
+
+}  // namespace iris::bench

@@ -4,14 +4,20 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <cstring>
+#include <functional>
+#include <map>
 #include <nlohmann/json.hpp>
-#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <optional>
+#include <set>
+#include <utility>
 
 #include "export/plot_file.h"
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
+#include "iris/core/parallel.h"
 #include "iris/evaluate/images.h"
 #include "iris/pipeline/frames.h"
 #include "iris/session/image_file.h"
@@ -226,10 +232,12 @@ void add_consistency(FigureSection& section, const evaluate::Consistency& c) {
     section.notes.push_back("no motion with truth on both sides: its covariances cannot be judged");
     return;
   }
+  section.notes.push_back("NEES: errors of the truth count as errors of the motion");
   auto& f = section.figures;
   f.push_back({"nees_edges", "motions whose stated covariance is judged (NEES)", static_cast<double>(c.edges), ""});
   f.push_back({"nees_skipped", "motions left out", static_cast<double>(c.skipped), ""});
   f.push_back({"nees_mean", "NEES, mean (6 if the covariances are right)", c.mean, "1"});
+  f.push_back({"nees_median", "NEES, median (5.35 expected)", c.median, "1"});
   f.push_back({"nees_mean_low", "95 % band of the mean: from", c.mean_low, "1"});
   f.push_back({"nees_mean_high", "95 % band of the mean: to", c.mean_high, "1"});
   f.push_back({"nees_share_within", "motions within their 95 % band", 100 * c.share_within, "%"});
@@ -614,17 +622,27 @@ class OutputFolder {
         shown.push_back(views->summaries()[static_cast<size_t>(indices[i])].frame_idx);
       }
     }
-    for (const int index : indices) {
+    const auto pair_of = [&](int index) {
       const auto view = views->load(index);
       DisparityPair pair{.estimate = view->disparity, .truth_path = truth_file(folder, view->frame_idx)};
       pair.truth = read_disparity(pair.truth_path, request_.truth_scale);
-      const std::string name = fmt::format("view {:06} of {}", view->frame_idx, request_.estimate.string());
-      score.add(score_pair(pair, name, request_.disparity));
-      frames_with_truth.push_back(view->frame_idx);
-      if (!request_.plots.empty() && std::find(shown.begin(), shown.end(), view->frame_idx) != shown.end()) {
-        plot_error_picture(request_.plots, fmt::format("disparity_error_{:06}", view->frame_idx),
-                           view->disparity.disparity, pair.truth, request_.disparity);
-      }
+      return pair;
+    };
+    std::vector<evaluate::DisparityScore> scores(indices.size());
+    parallel_chunks(0, static_cast<int>(indices.size()), 1, [&](int i, int) {
+      const int index = indices[static_cast<size_t>(i)];
+      const int frame_idx = views->summaries()[static_cast<size_t>(index)].frame_idx;
+      scores[static_cast<size_t>(i)] = score_pair(
+          pair_of(index), fmt::format("view {:06} of {}", frame_idx, request_.estimate.string()), request_.disparity);
+    });
+    for (const evaluate::DisparityScore& one : scores) score.add(one);
+    for (const int index : indices) {
+      const int frame_idx = views->summaries()[static_cast<size_t>(index)].frame_idx;
+      frames_with_truth.push_back(frame_idx);
+      if (request_.plots.empty() || std::find(shown.begin(), shown.end(), frame_idx) == shown.end()) continue;
+      const DisparityPair pair = pair_of(index);
+      plot_error_picture(request_.plots, fmt::format("disparity_error_{:06}", frame_idx), pair.estimate.disparity,
+                         pair.truth, request_.disparity);
     }
     for (const int frame : request_.views) {
       if (std::find(frames_with_truth.begin(), frames_with_truth.end(), frame) == frames_with_truth.end()) {
@@ -699,16 +717,28 @@ class OutputFolder {
         true_poses[pair.stamp_ns] = pose;
       }
     }
-    std::vector<evaluate::MotionEdge> edges;
+    // The file does not tell measured motions from loops.
+    std::set<std::pair<int, int>> odometry;
+    for (const PoseEdge& edge : workspace_.pose_graph(pipeline::world_from_submap()).edges) {
+      if (edge.kind == PoseEdgeKind::odometry) odometry.emplace(edge.i, edge.j);
+    }
+    std::vector<evaluate::MotionEdge> motions, loops;
     for (const evaluate::GraphEdge& edge : evaluate::parse_g2o_edges(read_file(path), path)) {
       if (!stamps_.contains(edge.i) || !stamps_.contains(edge.j)) {
         throw InputError(path,
                          fmt::format("has an edge between frames {} and {} that the run does not have", edge.i, edge.j),
                          "'iris export OUT --only trajectory' writes it again");
       }
-      edges.push_back({stamps_.at(edge.i), stamps_.at(edge.j), edge.i_from_j, edge.information});
+      (odometry.contains({edge.i, edge.j}) ? motions : loops)
+          .push_back({stamps_.at(edge.i), stamps_.at(edge.j), edge.i_from_j, edge.information});
     }
-    add_consistency(section, evaluate::evaluate_consistency(edges, true_poses));
+    add_consistency(section, evaluate::evaluate_consistency(motions, true_poses));
+    const evaluate::Consistency of_loops = evaluate::evaluate_consistency(loops, true_poses);
+    if (of_loops.edges == 0) return;
+    auto& f = section.figures;
+    f.push_back({"loop_edges", "loops whose stated covariance is judged", static_cast<double>(of_loops.edges), ""});
+    f.push_back({"loop_nees_mean", "NEES of the loops, mean (6 expected)", of_loops.mean, "1"});
+    f.push_back({"loop_share_within", "loops within their 95 % band", 100 * of_loops.share_within, "%"});
   }
 
   void add_submaps(FigureSection& section, const std::vector<SubMap>& submaps) const {

@@ -302,6 +302,7 @@ Consistency evaluate_consistency(const std::vector<MotionEdge>& edges, const std
   result.edge_low = chi_squared_quantile(0.025, 6);
   result.edge_high = chi_squared_quantile(0.975, 6);
   int within = 0, above = 0;
+  std::vector<double> values;
   for (const MotionEdge& edge : edges) {
     const auto i = true_poses.find(edge.stamp_i_ns), j = true_poses.find(edge.stamp_j_ns);
     const Eigen::LLT<Matrix6d> factor(edge.information);
@@ -318,7 +319,7 @@ Consistency evaluate_consistency(const std::vector<MotionEdge>& edges, const std
     const double nees = e.dot(edge.information * e);
     const Vector3d et = e.head<3>(), er = e.tail<3>();
     const Matrix3d ct = covariance.topLeftCorner<3, 3>(), cr = covariance.bottomRightCorner<3, 3>();
-    result.mean += nees;
+    values.push_back(nees);
     result.translation_mean += et.dot(ct.llt().solve(et));
     result.rotation_mean += er.dot(cr.llt().solve(er));
     within += nees >= result.edge_low && nees <= result.edge_high;
@@ -327,7 +328,9 @@ Consistency evaluate_consistency(const std::vector<MotionEdge>& edges, const std
   }
   if (result.edges == 0) return result;
   const double n = result.edges;
-  result.mean /= n;
+  const Spread spread = spread_of(std::move(values));
+  result.mean = spread.mean;
+  result.median = spread.median;
   result.translation_mean /= n;
   result.rotation_mean /= n;
   result.translation_factor = std::sqrt(result.translation_mean / 3);

@@ -8,6 +8,7 @@
 
 #include <chrono>
 #include <map>
+#include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <random>
 #include <thread>
@@ -368,6 +369,93 @@ TEST_F(Cli, ExportAndTourMakeProductsAgain) {
   const fs::path video = folder_->path() / "other.mp4";
   ASSERT_EQ(run_program({"tour", out.string(), "-o", video.string(), "--tour.seconds", "1", "--quiet"}).exit_code, 0);
   EXPECT_GT(fs::file_size(video), 1000u);
+}
+
+// The truth of the simulated session as a session's truth/ folder has it, in a world that is turned and shifted.
+void write_truth(const fs::path& folder, const fs::path& map_folder, int frames) {
+  Pose world = Pose::Identity();
+  world.linear() = Eigen::AngleAxisd(0.5, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  world.translation() = Eigen::Vector3d(20, -30, 1);
+  std::string path;
+  for (const char* name : {"disparity", "occlusion"}) fs::create_directories(folder / name);
+  for (int i = 0; i < frames; ++i) {
+    const Pose pose = world * z_up_from_camera() * iris::testing::synthetic_pose(i);
+    const Eigen::Quaterniond q(pose.linear());
+    const Eigen::Vector3d& t = pose.translation();
+    char line[256];
+    std::snprintf(line, sizeof line, "%d.%d %.9f %.9f %.9f %.9f %.9f %.9f %.9f\n", i / 10, i % 10, t.x(), t.y(), t.z(),
+                  q.x(), q.y(), q.z(), q.w());
+    path += line;
+    const cv::Mat1f disparity = iris::testing::render_room(iris::testing::Room(), iris::testing::synthetic_camera(),
+                                                           iris::testing::synthetic_pose(i))
+                                    .disparity.disparity;
+    cv::Mat1w code;
+    disparity.convertTo(code, CV_16U, 256);
+    char name[16];
+    std::snprintf(name, sizeof name, "%06d.png", i);
+    cv::imwrite((folder / "disparity" / name).string(), code);
+    cv::imwrite((folder / "occlusion" / name).string(), cv::Mat1b(code.size(), uint8_t{0}));
+  }
+  write_file(folder / "trajectory.tum", path);
+  // The plan is the map itself: it must lie upon itself through both worlds.
+  const cv::Mat map = cv::imread((map_folder / "map.pgm").string(), cv::IMREAD_UNCHANGED);
+  cv::imwrite((folder / "plan.png").string(), map);
+  std::string yaml = read_file(map_folder / "map.yaml");
+  double x = 0, y = 0;
+  ASSERT_EQ(std::sscanf(yaml.c_str() + yaml.find("origin: ["), "origin: [%lf, %lf", &x, &y), 2);
+  const Eigen::Vector3d origin = world * Eigen::Vector3d(x, y, 0);
+  char text[256];
+  std::snprintf(text, sizeof text, "image: plan.png\nresolution: 0.05\norigin: [%.9f, %.9f, 0.5]\n", origin.x(),
+                origin.y());
+  write_file(folder / "plan.yaml", text);
+}
+
+TEST_F(Cli, EvaluateComparesARunWithTheTruth) {
+  const fs::path truth = fresh("with_truth"), plots = fresh("plots");
+  write_truth(truth / "truth", reference() / "map", 14);
+  const auto result = run_program({"evaluate", reference().string(), "--truth", truth.string(), "-o", plots.string(),
+                                   "--json", (plots / "figures.json").string()});
+  ASSERT_EQ(result.exit_code, 0) << result.output;
+  EXPECT_THAT(result.output,
+              AllOf(HasSubstr("Trajectory"), HasSubstr("Disparities"), HasSubstr("Map"), HasSubstr("NEES")));
+  const auto figures = nlohmann::json::parse(read_file(plots / "figures.json"));
+  EXPECT_EQ(figures["trajectory"]["poses"], 14);
+  EXPECT_LT(figures["trajectory"]["ate_rmse"].get<double>(), 0.005);
+  EXPECT_LT(figures["trajectory"]["camera_rotation"].get<double>(), 0.5);
+  EXPECT_EQ(figures["trajectory"]["nees_edges"], 13);
+  EXPECT_GT(figures["disparities"]["images"].get<int>(), 0);
+  EXPECT_LT(figures["disparities"]["wrong_1px"].get<double>(), 10);
+  EXPECT_GT(figures["map"]["occupied_precision"].get<double>(), 98);
+  EXPECT_GT(figures["map"]["occupied_recall"].get<double>(), 98);
+  EXPECT_GT(figures["map"]["free_precision"].get<double>(), 98);
+  for (const char* file : {"trajectory_path.svg", "trajectory_translation_error.png", "disparity_error_000000.png",
+                           "disparity_histogram.svg", "map_errors.png"}) {
+    EXPECT_TRUE(fs::exists(plots / file)) << file;
+  }
+  // Single files, and JSON alone on the terminal.
+  const auto single = run_program({"evaluate", (reference() / "trajectory/tum.txt").string(), "--truth",
+                                   (truth / "truth/trajectory.tum").string(), "--json", "-"});
+  EXPECT_EQ(nlohmann::json::parse(single.output)["trajectory"]["ate_rmse"], figures["trajectory"]["ate_rmse"]);
+}
+
+TEST_F(Cli, EvaluateSaysWhatDoesNotBelongTogether) {
+  const fs::path truth = fresh("wrong_truth");
+  fs::create_directories(truth);
+  const auto expect = [&](const std::string& result, const fs::path& of, int code, const std::string& words) {
+    const auto run = run_program({"evaluate", result, "--truth", of.string()});
+    EXPECT_EQ(run.exit_code, code) << run.output;
+    EXPECT_THAT(run.output, HasSubstr(words));
+  };
+  expect(reference().string(), truth, 3, "holds neither");
+  write_file(truth / "trajectory.tum", "1000 0 0 0 0 0 0 1\n1001 1 0 0 0 0 0 1\n");
+  expect(reference().string(), truth, 3, "1000.000 … 1001.000 s");
+  expect(session().string(), truth, 3, "no output folder");
+  EXPECT_EQ(run_program({"evaluate", reference().string()}).exit_code, 2);
+  fs::remove(truth / "trajectory.tum");
+  fs::create_directories(truth / "disparity");
+  expect(reference().string(), truth, 3, "has no disparity image");
+  cv::imwrite((truth / "disparity/000000.png").string(), cv::Mat1w(10, 10, uint16_t{256}));
+  expect(reference().string(), truth, 3, "10 x 10 px");
 }
 
 }  // namespace

@@ -8,7 +8,9 @@
 #include <cstring>
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
+#include <random>
 
+#include "export/trajectory_file.h"
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 #include "support/temporary_folder.h"
@@ -86,6 +88,34 @@ TEST_F(EvaluationTest, BadTrajectoriesAreNamedWithTheRemedy) {
               HasSubstr("the output folder"));
   EXPECT_THAT(problem({.estimate = file("a.docx", "x"), .truth = truth}), HasSubstr("--kind"));
   EXPECT_THAT(problem({.estimate = folder_.path(), .truth = truth}), HasSubstr("no output folder"));
+}
+
+// A covariance of the pipeline (left perturbations) that is written to a graph is the one that is judged.
+TEST_F(EvaluationTest, TheInformationOfAGraphIsThatOfItsMotions) {
+  std::mt19937 random(4);
+  std::normal_distribution<double> normal;
+  const Matrix6d mix = Matrix6d::Random(), covariance = 1e-6 * (mix * mix.transpose() + 0.1 * Matrix6d::Identity());
+  const Matrix6d root = covariance.llt().matrixL();
+  PoseEdge edge{.information = covariance.inverse()};
+  edge.i_from_j.linear() = Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix();
+  edge.i_from_j.translation() = Eigen::Vector3d(0.3, -0.1, 1);
+  std::vector<evaluate::MotionEdge> edges;
+  std::map<int64_t, Pose> truth;
+  for (int i = 0; i < 1000; ++i) {
+    Vector6d noise;
+    for (int k = 0; k < 6; ++k) noise(k) = normal(random);
+    noise = root * noise;
+    Pose x = edge.i_from_j;  // t' = t + dt, R' = exp(dw) R
+    x.translation() += noise.head<3>();
+    x.linear() = Eigen::AngleAxisd(noise.tail<3>().norm(), noise.tail<3>().normalized()) * x.linear();
+    truth[2 * i] = Pose::Identity();
+    truth[2 * i + 1] = x;
+    edges.push_back({2 * i, 2 * i + 1, edge.i_from_j, g2o_information(edge)});
+  }
+  const evaluate::Consistency c = evaluate::evaluate_consistency(edges, truth);
+  EXPECT_NEAR(c.mean, 6, 0.35);  // deviation sqrt(12 / 1000) = 0.11
+  EXPECT_NEAR(c.median, 5.35, 0.4);
+  EXPECT_NEAR(c.share_within, 0.95, 0.02);
 }
 
 TEST_F(EvaluationTest, DisparitiesOfAllKindsOfFiles) {

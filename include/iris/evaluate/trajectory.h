@@ -123,6 +123,7 @@ struct Consistency {
   int edges = 0;
   int skipped = 0;                     // without truth, or with an information that is not positive definite
   double mean = 0;                     // expected: 6
+  double median = 0;                   // expected: 5.35
   double mean_low = 0, mean_high = 0;  // 95 % band of the mean
   double edge_low = 0, edge_high = 0;  // 95 % band of one edge
   double share_within = 0;             // of the edges within their band; expected: 0.95

@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
-# usage: scripts/bench.sh [--quick] [options of Google Benchmark]
+# usage: scripts/bench.sh [--quick] [--processor-time] [options of Google Benchmark]
 #        scripts/bench.sh --instructions
 # Installs what is missing, builds iris_bench (build/ci) and times IRIS beside its peers in one run: 7 repetitions of
 # at least 0.2 s each in random order, of which the fastest counts (--quick: one of 0.02 s). Prints a table in Markdown,
 # as in docs/benchmarks.md; all repetitions go to build/ci/bench.json.
+# --processor-time, for a busy machine: of what one thread does, and that alone.
 # --benchmark_filter='^stereo/' times one stage.
 # --instructions counts the instructions of the stereo core with callgrind (needs valgrind): they repeat exactly.
 set -euo pipefail
@@ -14,9 +15,9 @@ instructions=false
 for argument in "$@"; do
   case "$argument" in
     --instructions) instructions=true ;;
-    --quick | --benchmark_*) arguments+=("$argument") ;;
+    --quick | --processor-time | --benchmark_*) arguments+=("$argument") ;;
     *)
-      sed -n 2,8p "$0"
+      sed -n 2,9p "$0"
       exit 2
       ;;
   esac

@@ -19,9 +19,11 @@ struct Contender {
 };
 
 // Registers the benchmarks "stage/work/input/who", one a contender; the table compares the first with each of the
-// others. No name contains a slash.
+// others. No name contains a slash. Work of several threads or programs has no use for processor time and is left out
+// when that is measured.
+enum class Uses { one_thread, several };
 void compare(const std::string& stage, const std::string& work, const std::string& input,
-             const std::vector<Contender>& contenders);
+             const std::vector<Contender>& contenders, Uses uses = Uses::one_thread);
 
 // Times body() on so many threads, those of IRIS and of OpenCV. It is called once before, untimed: the first call pays
 // for memory and tables.
@@ -49,8 +51,8 @@ void register_render();
 void register_views();
 void register_run(bool quick);
 
-// Does what is named `work` once, on a small rendered pair, inside of iris::bench::counted(), where callgrind counts.
-// Prints the number of pixels times disparities. False if there is no such work.
+// Does what is named `work` once, on the pair of 640x480 with 64 disparities, inside of iris::bench::counted(), where
+// callgrind counts. Prints the number of pixels times disparities. False if there is no such work.
 bool count_instructions(const std::string& work);
 
 }  // namespace iris::bench

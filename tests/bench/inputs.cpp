@@ -142,4 +142,6 @@ const fs::path& recorded_session() {
   return path;
 }
 
+std::string recorded_session_name() { return recorded_session().parent_path() == kData ? "EuRoC" : "room 320x240"; }
+
 }  // namespace iris::bench

@@ -37,5 +37,6 @@ StereoCalibration distorted_rig();
 
 // A recording on disk: EuRoC MH_01, or a rendered one of 40 frames in a temporary folder.
 const std::filesystem::path& recorded_session();
+std::string recorded_session_name();
 
 }  // namespace iris::bench

@@ -1,4 +1,5 @@
-// iris_bench [--quick] [options of Google Benchmark]: IRIS beside its peers; prints a table in Markdown.
+// iris_bench [--quick] [--processor-time] [options of Google Benchmark]: IRIS beside its peers; prints a table in
+// Markdown. --processor-time: of one thread, instead of elapsed time; for a machine that others use as well.
 // iris_bench --count=WORK: does WORK once, for a tool that counts instructions.
 #include <fmt/chrono.h>
 #include <fmt/format.h>
@@ -32,6 +33,8 @@ std::vector<Comparison>& comparisons() {
   static std::vector<Comparison> list;
   return list;
 }
+
+bool processor_time_only = false;
 
 std::string benchmark_name(const Comparison& comparison, const std::string& who) {
   return fmt::format("{}/{}/{}/{}", comparison.stage, comparison.work, comparison.input, who);
@@ -86,7 +89,8 @@ class RatioTable : public benchmark::BenchmarkReporter {
         failed_ = true;
         return;
       }
-      const double seconds = run.real_accumulated_time / static_cast<double>(run.iterations);
+      const double seconds = (processor_time_only ? run.cpu_accumulated_time : run.real_accumulated_time) /
+                             static_cast<double>(run.iterations);
       if (measured.seconds.empty() || seconds < *std::min_element(measured.seconds.begin(), measured.seconds.end())) {
         measured.counters = run.counters;
       }
@@ -124,16 +128,16 @@ class RatioTable : public benchmark::BenchmarkReporter {
     if (!spread.empty()) {
       std::sort(spread.begin(), spread.end());
       fmt::print(
-          "\nTimes are minima over the repetitions. Their medians lie {:.0f} % above them (median of all rows; at most "
+          "\n{} are minima over the repetitions. Their medians lie {:.0f} % above them (median of all rows; at most "
           "{:.0f} %).",
-          100 * spread[spread.size() / 2], 100 * spread.back());
+          processor_time_only ? "Processor times" : "Times", 100 * spread[spread.size() / 2], 100 * spread.back());
     }
     const ProcessorTime end = processor_time();
     const double elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_time_).count();
     const double others = (end.all - start_.all) - (end.own - start_.own);
     fmt::print("\nOther programs kept {:.2f} of {} processors busy during the run{}.\n",
                std::max(0.0, others / elapsed), available_threads(),
-               others > 0.1 * elapsed ? ": measure again when the machine is quiet" : "");
+               !processor_time_only && others > 0.1 * elapsed ? ": measure again when the machine is quiet" : "");
   }
 
   bool failed() const { return failed_; }
@@ -168,14 +172,14 @@ class RatioTable : public benchmark::BenchmarkReporter {
 }  // namespace
 
 void compare(const std::string& stage, const std::string& work, const std::string& input,
-             const std::vector<Contender>& contenders) {
+             const std::vector<Contender>& contenders, Uses uses) {
+  if (processor_time_only && uses == Uses::several) return;
   Comparison comparison{.stage = stage, .work = work, .input = input};
   for (const Contender& contender : contenders) {
     comparison.contenders.push_back(contender.who);
-    benchmark::RegisterBenchmark(benchmark_name(comparison, contender.who).c_str(), contender.run)
-        ->UseRealTime()
-        ->MeasureProcessCPUTime()
-        ->Unit(benchmark::kMillisecond);
+    auto* registered = benchmark::RegisterBenchmark(benchmark_name(comparison, contender.who).c_str(), contender.run);
+    registered->MeasureProcessCPUTime()->Unit(benchmark::kMillisecond);
+    if (!processor_time_only) registered->UseRealTime();
   }
   comparisons().push_back(comparison);
 }
@@ -195,6 +199,8 @@ int main(int argc, char** argv) {
     }
     if (argument == "--quick") {
       quick = true;
+    } else if (argument == "--processor-time") {
+      iris::bench::processor_time_only = true;
     } else {
       arguments.push_back(argument);
     }

@@ -116,7 +116,8 @@ void register_mapping() {
            {"OctoMap insertPointCloud", [](State& state) { octomap_tree(state, false); }},
            {"OctoMap, one ray a cube", [](State& state) { octomap_tree(state, true); }}});
   compare("mapping", "add a view, two threads", input,
-          {{"IRIS", [](State& state) { flog(state, 2); }}, {"IRIS, one thread", [](State& state) { flog(state, 1); }}});
+          {{"IRIS", [](State& state) { flog(state, 2); }}, {"IRIS, one thread", [](State& state) { flog(state, 1); }}},
+          Uses::several);
   compare("octree", "five views to files, 10 cm", input, {{"IRIS", our_octree}, {"OctoMap", octomap_octree}});
 }
 

@@ -4,7 +4,7 @@
 #include "bench/bench.h"
 #include "bench/inputs.h"
 #include "bench/minimise_peer.h"
-#include "bench/plain_odometry.h"
+#include "bench/opencv_peers.h"
 #include "iris/motion/closed_form.h"
 #include "iris/motion/scs.h"
 #include "support/synthetic_views.h"

@@ -101,7 +101,8 @@ void register_render() {
   const std::string input = hand_held().name + ", 4 sources";
   compare("render", "novel view, every pixel", input, {ours("IRIS", 1, 1), {"forward splatting", splatting}});
   compare("render", "novel view, step 2 (tours)", input, {ours("IRIS", 2, 1), {"forward splatting", splatting}});
-  compare("render", "novel view, step 2, two threads", input, {ours("IRIS", 2, 2), ours("IRIS, one thread", 2, 1)});
+  compare("render", "novel view, step 2, two threads", input, {ours("IRIS", 2, 2), ours("IRIS, one thread", 2, 1)},
+          Uses::several);
   compare("render", "prepare a source", hand_held().name, {{"IRIS", [](State& state) {
                                                               const auto view = hand_held_views()[0];
                                                               measure(state, 1,

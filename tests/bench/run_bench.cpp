@@ -4,11 +4,9 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <opencv2/calib3d.hpp>
-
 #include "bench/bench.h"
 #include "bench/inputs.h"
-#include "bench/plain_odometry.h"
+#include "bench/opencv_peers.h"
 #include "iris/pipeline/frames.h"
 #include "iris/rectify/rectifier.h"
 #include "iris/session/session.h"
@@ -86,10 +84,7 @@ void frames_stage(State& state) {
 void opencv_frames(State& state, bool semi_global) {
   const auto session = session::open_session(recorded_session(), at_most(kFrames));
   const rectify::Rectifier rectifier(session->calibration());
-  cv::Ptr<cv::StereoMatcher> matcher = cv::StereoBM::create(128, 11);
-  if (semi_global) {
-    matcher = cv::StereoSGBM::create(0, 128, 5, 200, 800, 1, 63, 10, 100, 1, cv::StereoSGBM::MODE_SGBM_3WAY);
-  }
+  const auto matcher = semi_global ? semi_global_matcher(128, cv::StereoSGBM::MODE_SGBM_3WAY) : block_matcher(128);
   measure(state, available_threads(), [&] {
     cv::Mat1b prev;
     cv::Mat1f prev_disparity;
@@ -109,15 +104,17 @@ void opencv_frames(State& state, bool semi_global) {
 }  // namespace
 
 void register_run(bool quick) {
-  const std::string recording = recorded_session().filename().string();
+  const std::string recording = recorded_session_name();
   compare("run", "disparities and path, all processors", fmt::format("{}, {} frames", recording, kFrames),
           {{"IRIS", frames_stage},
            {"OpenCV BM, LK, PnP", [](State& state) { opencv_frames(state, false); }},
-           {"OpenCV SGBM 3WAY, LK, PnP", [](State& state) { opencv_frames(state, true); }}});
+           {"OpenCV SGBM 3WAY, LK, PnP", [](State& state) { opencv_frames(state, true); }}},
+          Uses::several);
   const int frames = quick ? 20 : 0;
   compare("run", "iris run, all processors", quick ? fmt::format("{}, {} frames", recording, frames) : recording,
           {{"IRIS", [=](State& state) { whole_run(state, frames); }},
-           {"reading the images alone, one thread", [=](State& state) { read_all(state, frames); }}});
+           {"reading the images alone, one thread", [=](State& state) { read_all(state, frames); }}},
+          Uses::several);
 }
 
 }  // namespace iris::bench

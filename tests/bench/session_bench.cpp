@@ -37,7 +37,7 @@ void read_images(State& state) {
 }  // namespace
 
 void register_session() {
-  compare("session", "read a pair (PNG)", recorded_session().filename().string(),
+  compare("session", "read a pair (PNG)", recorded_session_name(),
           {{"IRIS", read_session}, {"OpenCV imread", read_images}});
 }
 

@@ -1,11 +1,11 @@
 #include <fmt/format.h>
 #include <hwy/highway.h>
 
-#include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
 
 #include "bench/bench.h"
 #include "bench/inputs.h"
+#include "bench/opencv_peers.h"
 #include "iris/stereo/mwmf.h"
 #include "src/stereo/correlation.h"
 #include "src/stereo/filters.h"
@@ -58,18 +58,6 @@ MwmfOptions options_for(const Pair& pair) {
 
 // Evaluations of the cost of a window: pixels times disparities.
 double evaluations(const Pair& pair) { return static_cast<double>(pair.left.total()) * pair.disparities; }
-
-cv::Ptr<cv::StereoMatcher> block_matcher(int disparities) {
-  const auto matcher = cv::StereoBM::create(disparities, 11);
-  matcher->setSpeckleWindowSize(100);
-  matcher->setSpeckleRange(1);
-  matcher->setDisp12MaxDiff(1);
-  return matcher;
-}
-
-cv::Ptr<cv::StereoMatcher> semi_global_matcher(int disparities, int mode) {
-  return cv::StereoSGBM::create(0, disparities, 5, 8 * 25, 32 * 25, 1, 63, 10, 100, 1, mode);
-}
 
 Contender mwmf_contender(const std::string& who, int threads, const PairSource& source,
                          const std::function<void(MwmfOptions&)>& change = {}) {
@@ -230,23 +218,23 @@ void register_stereo() {
   compare("stereo", "two threads", input,
           {mwmf_contender("IRIS", 2, source), mwmf_contender("IRIS, one thread", 1, source),
            opencv_contender("OpenCV StereoBM 11x11, two threads", 2, source, block_matcher),
-           opencv_contender("OpenCV StereoSGBM 3WAY, two threads", 2, source, kSgbm3)});
+           opencv_contender("OpenCV StereoSGBM 3WAY, two threads", 2, source, kSgbm3)},
+          Uses::several);
   register_steps(input);
 }
 
 bool count_instructions(const std::string& work) {
-  const Sequence room = render_sequence({250, 159.5, 119.5, 0.12, 0, 320, 240}, 1);
-  const Pair pair{room.pairs[0].left, room.pairs[0].right, 64};
+  const Pair& pair = vga_pair();
   cv::setNumThreads(1);
   std::function<void()> body;
   if (work == "correlation") {
     const auto made = std::make_shared<Steps>(pair);
-    body = [=] { DoNotOptimize(made->correlate(pair.disparities)); };
+    body = [=, &pair] { DoNotOptimize(made->correlate(pair.disparities)); };
   } else if (work == "mwmf") {
-    body = [=] { DoNotOptimize(mwmf(pair.left, pair.right, options_for(pair))); };
+    body = [&] { DoNotOptimize(mwmf(pair.left, pair.right, options_for(pair))); };
   } else if (work == "StereoBM" || work == "StereoSGBM") {
     const auto matcher = work == "StereoBM" ? block_matcher(pair.disparities) : kSgbm(pair.disparities);
-    body = [=] {
+    body = [=, &pair] {
       cv::Mat disparity;
       matcher->compute(pair.left, pair.right, disparity);
     };

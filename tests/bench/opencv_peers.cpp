@@ -1,10 +1,21 @@
-#include "bench/plain_odometry.h"
+#include "bench/opencv_peers.h"
 
-#include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
 
 namespace iris::bench {
+
+cv::Ptr<cv::StereoMatcher> block_matcher(int disparities) {
+  const auto matcher = cv::StereoBM::create(disparities, 11);
+  matcher->setSpeckleWindowSize(100);
+  matcher->setSpeckleRange(1);
+  matcher->setDisp12MaxDiff(1);
+  return matcher;
+}
+
+cv::Ptr<cv::StereoMatcher> semi_global_matcher(int disparities, int mode) {
+  return cv::StereoSGBM::create(0, disparities, 5, 8 * 25, 32 * 25, 1, 63, 10, 100, 1, mode);
+}
 
 int plain_motion(const cv::Mat1b& prev, const cv::Mat1f& prev_disparity, const cv::Mat1b& cur,
                  const RectifiedCamera& camera) {

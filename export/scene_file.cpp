@@ -1,21 +1,16 @@
 #include "export/scene_file.h"
 
 #include <spdlog/spdlog.h>
-#include <tiny_gltf.h>
 
 #include <algorithm>
 #include <array>
-#include <bit>
-#include <cerrno>
 #include <cmath>
-#include <cstring>
-#include <fstream>
 #include <map>
 #include <memory>
 #include <set>
 #include <vector>
 
-#include "iris/core/atomic_file.h"
+#include "export/gltf_builder.h"
 #include "iris/core/error.h"
 #include "iris/core/options.h"
 #include "iris/core/parallel.h"
@@ -35,8 +30,6 @@ void SceneOptions::declare(OptionSet& set) {
 }
 
 namespace {
-
-static_assert(std::endian::native == std::endian::little, "glTF stores little-endian numbers");
 
 // --- thinning
 // ---------------------------------------------------------------------------------------------------------
@@ -112,16 +105,6 @@ class VoxelGrid {
   std::vector<Cube> cubes_;
 };
 
-// Linear light of the 256 sRGB levels (IEC 61966-2-1).
-std::array<float, 256> linear_levels() {
-  std::array<float, 256> levels;
-  for (int i = 0; i < 256; ++i) {
-    const double s = i / 255.0;
-    levels[i] = static_cast<float>(s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4));
-  }
-  return levels;
-}
-
 // Red, green, blue.
 Eigen::Vector3f linear_colour(const cv::Mat& image, int y, int x, const std::array<float, 256>& levels) {
   if (image.type() == CV_8UC1) return Eigen::Vector3f::Constant(levels[image.at<uchar>(y, x)]);
@@ -185,109 +168,9 @@ ThinnedPoints thin_points(const views::ViewStore& views, const SceneOptions& opt
 // --- glTF
 // -------------------------------------------------------------------------------------------------------------
 
-// Appends arrays to the one buffer of the model.
-class ModelBuilder {
- public:
-  ModelBuilder() { model_.buffers.emplace_back(); }
-
-  int add_positions(const std::vector<Eigen::Vector3f>& positions) {
-    Eigen::AlignedBox3f box;
-    for (const Eigen::Vector3f& p : positions) box.extend(p);
-    const int accessor = add_array(positions.data(), positions.size(), sizeof(Eigen::Vector3f),
-                                   TINYGLTF_TARGET_ARRAY_BUFFER, TINYGLTF_COMPONENT_TYPE_FLOAT, TINYGLTF_TYPE_VEC3);
-    model_.accessors.back().minValues.assign(box.min().data(), box.min().data() + 3);
-    model_.accessors.back().maxValues.assign(box.max().data(), box.max().data() + 3);
-    return accessor;
-  }
-
-  // Four components, so that each colour begins at a multiple of four bytes.
-  int add_colours(const std::vector<std::array<uint16_t, 4>>& colours) {
-    const int accessor = add_array(colours.data(), colours.size(), sizeof(colours[0]), TINYGLTF_TARGET_ARRAY_BUFFER,
-                                   TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT, TINYGLTF_TYPE_VEC4);
-    model_.accessors.back().normalized = true;
-    return accessor;
-  }
-
-  int add_indices(const std::vector<uint32_t>& indices) {
-    return add_array(indices.data(), indices.size(), sizeof(uint32_t), TINYGLTF_TARGET_ELEMENT_ARRAY_BUFFER,
-                     TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR);
-  }
-
-  // A colour of its own, whatever the light; `rgb` is linear.
-  int add_unlit_material(const std::string& name, const std::array<double, 3>& rgb) {
-    tinygltf::Material material;
-    material.name = name;
-    material.pbrMetallicRoughness.baseColorFactor = {rgb[0], rgb[1], rgb[2], 1};
-    material.pbrMetallicRoughness.metallicFactor = 0;  // for viewers that do not know the extension
-    material.extensions["KHR_materials_unlit"] = tinygltf::Value(tinygltf::Value::Object());
-    model_.extensionsUsed = {"KHR_materials_unlit"};
-    model_.materials.push_back(material);
-    return static_cast<int>(model_.materials.size()) - 1;
-  }
-
-  // Node with a mesh of one primitive, below `parent`.
-  void add_mesh_node(int parent, const std::string& name, const tinygltf::Primitive& primitive) {
-    tinygltf::Mesh mesh;
-    mesh.name = name;
-    mesh.primitives = {primitive};
-    model_.meshes.push_back(mesh);
-    const int node = add_node(parent, name);
-    model_.nodes[static_cast<size_t>(node)].mesh = static_cast<int>(model_.meshes.size()) - 1;
-  }
-
-  // parent = -1: the top of the scene.
-  int add_node(int parent, const std::string& name) {
-    const int index = static_cast<int>(model_.nodes.size());
-    model_.nodes.emplace_back();
-    model_.nodes.back().name = name;
-    if (parent >= 0) {
-      model_.nodes[static_cast<size_t>(parent)].children.push_back(index);
-    } else {
-      tinygltf::Scene scene;
-      scene.name = name;
-      scene.nodes = {index};
-      model_.scenes.push_back(scene);
-      model_.defaultScene = 0;
-    }
-    return index;
-  }
-
-  tinygltf::Model& model() { return model_; }
-
- private:
-  int add_array(const void* data, size_t count, size_t stride, int target, int component_type, int type) {
-    std::vector<unsigned char>& bytes = model_.buffers[0].data;
-    tinygltf::BufferView view;
-    view.buffer = 0;
-    view.byteOffset = bytes.size();
-    view.byteLength = count * stride;
-    view.target = target;
-    model_.bufferViews.push_back(view);
-    bytes.resize(bytes.size() + count * stride);
-    std::memcpy(bytes.data() + view.byteOffset, data, count * stride);
-    tinygltf::Accessor accessor;
-    accessor.bufferView = static_cast<int>(model_.bufferViews.size()) - 1;
-    accessor.componentType = component_type;
-    accessor.type = type;
-    accessor.count = count;
-    model_.accessors.push_back(accessor);
-    return static_cast<int>(model_.accessors.size()) - 1;
-  }
-
-  tinygltf::Model model_;
-};
-
 struct Materials {
   int points, path, cameras;
 };
-
-tinygltf::Primitive primitive(int mode, int material, int positions) {
-  tinygltf::Primitive primitive;
-  primitive.mode = mode;
-  primitive.material = material;
-  primitive.attributes["POSITION"] = positions;
-  return primitive;
-}
 
 void add_point_node(ModelBuilder& builder, int parent, int material, const VoxelGrid& grid) {
   std::vector<Eigen::Vector3f> positions;
@@ -336,20 +219,6 @@ void add_camera_node(ModelBuilder& builder, int parent, int material,
   builder.add_mesh_node(parent, "cameras", cameras);
 }
 
-void write_glb(const std::filesystem::path& glb, const tinygltf::Model& model) {
-  write_file_with(glb, [&](const std::filesystem::path& temporary) {
-    // Not WriteGltfSceneToFile: it reports success when the disk is full.
-    std::ofstream file(temporary, std::ios::binary);
-    errno = 0;
-    const bool made = file && tinygltf::TinyGLTF().WriteGltfSceneToStream(&model, file, false, true);
-    file.close();
-    if (!made || !file) {
-      throw InputError(glb, std::string("cannot be written (") + std::strerror(errno) + ")",
-                       "check the folder, its permissions and the free space");
-    }
-  });
-}
-
 }  // namespace
 
 void write_scene(const std::filesystem::path& glb, const PoseGraph& graph, const views::ViewStore& views,
@@ -371,9 +240,7 @@ void write_scene(const std::filesystem::path& glb, const PoseGraph& graph, const
   const Materials materials{.points = builder.add_unlit_material("points", {1, 1, 1}),
                             .path = builder.add_unlit_material("path", {1, 0.2, 0}),
                             .cameras = builder.add_unlit_material("cameras", {0, 0.35, 1})};
-  const int world = builder.add_node(-1, "world");
-  // y up from z up: -90 degrees about x. Order x, y, z, w.
-  builder.model().nodes[0].rotation = {-std::sqrt(0.5), 0, 0, std::sqrt(0.5)};
+  const int world = builder.add_world();
 
   double right = 0;  // [m] where the next sub-map begins in x
   for (const int submap : submaps) {

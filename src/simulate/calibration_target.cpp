@@ -105,19 +105,20 @@ Scene calibration_target(TargetKind kind, uint32_t seed) {
       }
     }
   } else {
-    // 10 x 7 squares of 25 mm: 9 x 6 inner corners.
-    constexpr double kSquare = 0.025, kMarker = 0.018;
-    Sheet sheet(b, 10, 7, kSquare, kSquare);
+    // 10 x 7 squares of 25 mm (ChArUco: 30 mm, for the sake of its markers of 22.5 mm): 9 x 6 inner corners.
+    const bool charuco = kind == TargetKind::charuco;
+    const double square = charuco ? 0.03 : 0.025, marker = 0.75 * square;
+    Sheet sheet(b, 10, 7, square, charuco ? 0.01 : square);
     int id = 0;
     for (int row = 0; row < 7; ++row) {
       for (int column = 0; column < 10; ++column) {
         const bool dark = (row + column) % 2 == 0;
-        if (!dark && kind == TargetKind::charuco) {
-          sheet.marker(column, row, kMarkers[id++], kMarker);
+        if (!dark && charuco) {
+          sheet.marker(column, row, kMarkers[id++], marker);
         } else {
           sheet.cell(column, row, dark);
         }
-        if (row > 0 && column > 0) scene.target_corners.push_back(sheet.point(column * kSquare, row * kSquare));
+        if (row > 0 && column > 0) scene.target_corners.push_back(sheet.point(column * square, row * square));
       }
     }
   }

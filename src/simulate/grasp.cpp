@@ -134,39 +134,49 @@ Scene grasp(uint32_t seed) {
   scene.objects = b.take();
 
   const auto motion = std::make_shared<const HandMotion>();
+  // What is built next moves; its faces have the light of where it is at the beginning.
+  const auto begin = [&](const std::string& name, const std::function<Pose(double)>& pose) {
+    b.group(name);
+    Pose turned = pose(0);
+    turned.translation().setZero();
+    b.place(turned);
+  };
   const auto add_moving = [&](const std::function<Pose(double)>& pose) {
+    Pose turned = pose(0);
+    turned.translation().setZero();
     for (SceneObject& object : b.take()) {
-      object.world_from_object = pose;
+      object.world_from_object = [pose, turned](double t) { return Pose(pose(t) * turned.inverse()); };
       scene.objects.push_back(std::move(object));
     }
   };
-  b.place(0, 0);
-  b.group("mug");
+  const auto mug = [motion](double t) { return motion->world_from_mug(t); };
+  begin("mug", mug);
   const Material glaze = with_texture("glaze", tiles(s + 40, {70, 110, 200}, {150, 190, 220}, 0.02, 256, 8));
   b.cylinder(glaze, {0, 0, 0.001}, {0, 0, 0.11}, 0.036, 0.04, 28);
   b.cylinder(glaze, {0, -0.04, 0.085}, {0, -0.065, 0.08}, 0.006, 0.006, 8);
   b.cylinder(glaze, {0, -0.065, 0.082}, {0, -0.065, 0.032}, 0.006, 0.006, 8);
   b.cylinder(glaze, {0, -0.038, 0.03}, {0, -0.065, 0.034}, 0.006, 0.006, 8);
-  add_moving([motion](double t) { return motion->world_from_mug(t); });
+  add_moving(mug);
 
   const Material skin = with_texture("skin", plaster(s + 41, {128, 158, 208}, 0.09, 256, 0.4));
-  b.group("palm");
+  const auto palm = [motion](double t) { return motion->world_from_palm(t); };
+  begin("palm", palm);
   b.box(skin, {-0.05, -0.044, -0.014}, {0.05, 0.044, 0.014});
   b.ellipsoid(skin, {0.045, 0, 0}, {0.016, 0.045, 0.0155}, 16);
   b.cylinder(skin, {-0.075, 0, 0}, {-0.045, 0, 0}, 0.03, 0.033, 16);
   b.group("sleeve");
   b.cylinder(m.blue_cloth, {-0.5, 0.05, 0.06}, {-0.07, 0, 0}, 0.055, 0.04, 20);
-  add_moving([motion](double t) { return motion->world_from_palm(t); });
+  add_moving(palm);
   for (int finger = 0; finger < 5; ++finger) {
     for (int joint = 0; joint < 3; ++joint) {
       const double radius = (finger == 4 ? 0.0115 : 0.0095) - 0.001 * joint;
-      b.group(finger == 4 ? "thumb " + std::to_string(joint)
-                          : "finger " + std::to_string(finger) + " " + std::to_string(joint));
+      const auto bone = [motion, finger, joint](double t) { return motion->world_from_bone(t, finger, joint); };
+      begin((finger == 4 ? "thumb " : "finger " + std::to_string(finger) + " ") + std::to_string(joint), bone);
       b.cylinder(skin, {0, 0, 0}, {HandMotion::length(finger, joint), 0, 0}, radius, radius - 0.001, 12);
       b.ellipsoid(skin, {0, 0, 0}, Vector3::Constant(radius * 1.01), 10);
       if (joint == 2)
         b.ellipsoid(skin, {HandMotion::length(finger, joint), 0, 0}, Vector3::Constant(radius - 0.0009), 10);
-      add_moving([motion, finger, joint](double t) { return motion->world_from_bone(t, finger, joint); });
+      add_moving(bone);
     }
   }
 

@@ -194,6 +194,15 @@ Scene yard(uint32_t seed) {
                                 {-1.6, 1.9, 0.55}}) {
     crown(b, x > 0 ? beech : copper, random, {x, y, ground(x, y) + 0.7 * r}, {r, r, 0.85 * r}, 5000, 0.08);
   }
+  // A wood around all of it: far away, so that lumps will do.
+  b.group("wood");
+  b.place(0, 0);
+  const Material wood_leaves = with_texture("far leaves", granite(s + 31, {58, 112, 78}, 512));
+  for (int i = 0; i < 54; ++i) {
+    const double angle = 2 * M_PI * (i + 0.4 * random.uniform()) / 54, far = random.uniform(19, 23);
+    const double wide = random.uniform(1.6, 2.6), tall = random.uniform(2.2, 4.2);
+    b.ellipsoid(wood_leaves, {far * std::cos(angle), far * std::sin(angle), 0.6 * tall}, {wide, wide, tall}, 16);
+  }
   b.group("bench");
   b.place(-0.1, 0.45, ground(0, 0.5));
   for (int i = 0; i < 4; ++i) b.box(m.oak, {-0.8, 0.1 + 0.11 * i, 0.42}, {0.8, 0.19 + 0.11 * i, 0.455});

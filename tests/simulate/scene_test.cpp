@@ -7,13 +7,14 @@
 #include <cmath>
 #include <cstring>
 #include <map>
+#include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
 #include <set>
 
-#include "src/simulate/mesh_builder.h"
-#include "src/simulate/scenes.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "src/simulate/mesh_builder.h"
+#include "src/simulate/scenes.h"
 
 namespace iris::simulate {
 namespace {
@@ -234,7 +235,7 @@ TEST(Scenes, TheApartmentHasRoomsWithOpenDoorsAndBareWalls) {
 TEST(Scenes, TargetCornersAreCornersOfTheGeometry) {
   for (const auto& [name, count, pitch] : {std::tuple{"calibration", 140u, 0.02},
                                            {"calibration:chessboard", 54u, 0.025},
-                                           {"calibration:charuco", 54u, 0.025}}) {
+                                           {"calibration:charuco", 54u, 0.03}}) {
     const Scene& scene = scene_of(name);
     ASSERT_EQ(scene.target_corners.size(), count);
     const auto ink = std::find_if(scene.objects.begin(), scene.objects.end(),
@@ -288,10 +289,30 @@ TEST(Scenes, TheTargetShowsItsSquares) {
   EXPECT_EQ(cv::countNonZero(squares < 100), 35 * 20 * 20);
   const cv::Mat1b board = target_image(scene_of("calibration:chessboard"), 0.001);
   EXPECT_EQ(cv::countNonZero(board < 100), 35 * 25 * 25);
-  // Markers: 4 of 9 of their area at least is their black border.
+  // Markers: 20 of their 36 cells are the black border; not all the others are black too.
   const cv::Mat1b charuco = target_image(scene_of("calibration:charuco"), 0.0005);
-  EXPECT_GT(cv::countNonZero(charuco < 100), 35 * 50 * 50 + 35 * 36 * 36 * 5 / 9);
-  EXPECT_LT(cv::countNonZero(charuco < 100), 35 * 50 * 50 + 35 * 36 * 36);
+  EXPECT_GT(cv::countNonZero(charuco < 100), 35 * 60 * 60 + 35 * 45 * 45 * 5 / 9);
+  EXPECT_LT(cv::countNonZero(charuco < 100), 35 * 60 * 60 + 35 * 45 * 45);
+}
+
+// By OpenCV's detector as the foreign reader, to a tenth of a pixel (0.05 mm).
+TEST(Scenes, TheChessboardIsFoundWhereItIs) {
+  constexpr double kPixel = 0.0005;
+  const Scene& scene = scene_of("calibration:chessboard");
+  const cv::Mat1b image = target_image(scene, kPixel);
+  std::vector<cv::Point2f> corners;
+  ASSERT_TRUE(cv::findChessboardCorners(image, {9, 6}, corners));
+  cv::cornerSubPix(image, corners, {9, 9}, {-1, -1}, {cv::TermCriteria::EPS | cv::TermCriteria::COUNT, 50, 1e-4});
+  ASSERT_EQ(corners.size(), scene.target_corners.size());
+  // The detector may begin at either end of the board.
+  if (corners.front().x > corners.back().x) std::reverse(corners.begin(), corners.end());
+  // The image's upper-left pixel has its centre half a pixel inside the sheet: margin of one square, 12 x 9 in all.
+  const Eigen::Vector3d upper_left = scene.target_corners.front() + Eigen::Vector3d(-0.05, 0, 0.05);
+  for (size_t i = 0; i < corners.size(); ++i) {
+    const Eigen::Vector3d expected = (scene.target_corners[i] - upper_left) / kPixel;
+    EXPECT_NEAR(corners[i].x, expected.x() - 0.5, 0.1);
+    EXPECT_NEAR(corners[i].y, -expected.z() - 0.5, 0.1);
+  }
 }
 
 TEST(Scenes, TheGraspedThingMovesWithTheHandAndComesBack) {

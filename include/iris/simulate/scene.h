@@ -43,8 +43,9 @@ struct Scene {
   std::vector<Eigen::Vector3d> target_corners;
 };
 
-// Names that make_scene understands: apartment, seminar-room, yard, boxes, grasp, calibration (squares of the thesis),
-// calibration:chessboard, calibration:charuco.
+// Names that make_scene understands: apartment, seminar-room, yard, boxes, grasp, calibration (7 x 5 dark squares of
+// 20 mm with gaps of 20 mm, thesis 2.3), calibration:chessboard (10 x 7 squares of 25 mm: 9 x 6 inner corners),
+// calibration:charuco (10 x 7 squares of 30 mm, markers 0 to 34 of DICT_4X4_50 with 22.5 mm in the white ones).
 const std::vector<std::string>& scene_names();
 
 // The scene; the same bytes for the same seed on every machine. Throws UsageError that lists the names for an unknown
@@ -71,7 +72,7 @@ struct SimulatedPath {
 //   round       along places.round, looking ahead
 //   corridor    along places.corridor and back
 //   around      look_at from many sides, distances and image regions, standing still in between
-//   static      from `stand`; the camera does not move (10 s without options.frames)
+//   static      from `stand`; the camera does not move (12 s without options.frames)
 // All but static come back to their first pose. Speed is options.speed at most; the camera turns by at most 45 deg/s
 // (60 deg/s in roam), slowing down for it. Shaking comes on top, except in static: each of the three axes has the
 // standard deviation of options.jitter, from 0.5 to 3 Hz; it is absent in the first and the last instant, within a

@@ -583,12 +583,22 @@ class OutputFolder {
         [&](const workspace::FrameRecord& record) { stamps_[record.frame_idx] = record.stamp_ns; });
   }
 
-  void evaluate_trajectories(const fs::path& truth_path) {
+  // False if no sub-map has two poses.
+  bool evaluate_trajectories(const fs::path& truth_path) {
     const std::string text = read_file(truth_path);
     const bool kitti = evaluate::is_kitti(text);
     truth_ = kitti ? kitti_truth(evaluate::parse_kitti(text, truth_path)) : evaluate::parse_tum(text, truth_path);
     const std::vector<SubMap> submaps = read_submaps();
     const SubMap& main = submaps.front();
+    if (main.poses.size() < 2) {
+      evaluation_.sections.push_back(
+          {.name = "trajectory",
+           .title = "Trajectory",
+           .notes = {"no sub-map has two poses: neither path nor map can be compared; 'iris info OUT' says why"},
+           .figures = {{"submap_count", "sub-maps", static_cast<double>(submaps.size()), ""}},
+           .tables = {}});
+      return false;
+    }
     require_common_time(main.path, main.poses, truth_path, truth_);
     const TrajectoryErrors errors = evaluate::evaluate_trajectory(main.poses, truth_, request_.trajectory);
     bool ignored = false;
@@ -600,6 +610,7 @@ class OutputFolder {
     if (submaps.size() > 1) add_submaps(section, submaps);
     evaluation_.sections.push_back(std::move(section));
     if (!request_.plots.empty()) plot_trajectory(request_.plots, errors, truth_, kitti ? 2 : 1, true);
+    return true;
   }
 
   void evaluate_disparities(const fs::path& folder) {
@@ -764,7 +775,7 @@ class OutputFolder {
                             100 * e.mean_drift.translation,
                             e.true_path > 0 ? 100 * e.closing_translation / e.true_path : 0.0});
     }
-    section.figures.push_back({"submaps", "sub-maps", static_cast<double>(submaps.size()), ""});
+    section.figures.push_back({"submap_count", "sub-maps", static_cast<double>(submaps.size()), ""});
     if (small > 0)
       section.notes.push_back(fmt::format("{} sub-maps have fewer than {} poses with truth", small, kEnough));
     section.tables.push_back(std::move(table));
@@ -794,14 +805,14 @@ void evaluate_output(const EvaluationRequest& request, Evaluation& evaluation) {
   fs::path path = folder / "trajectory.tum";
   if (!fs::exists(path)) path = folder / "poses.txt";
   const bool has_path = fs::exists(path);
-  if (has_path) output.evaluate_trajectories(path);
+  const bool is_aligned = has_path && output.evaluate_trajectories(path);
   if (fs::is_directory(folder / "disparity")) output.evaluate_disparities(folder / "disparity");
   if (fs::exists(folder / "plan.yaml")) {
     if (!has_path) {
       throw InputError(folder, "has plan.yaml, but no trajectory.tum",
                        "the map is laid on the plan by the path: add it");
     }
-    output.evaluate_map(folder / "plan.yaml");
+    if (is_aligned) output.evaluate_map(folder / "plan.yaml");
   }
   if (evaluation.sections.empty()) {
     throw InputError(folder, "holds neither trajectory.tum, poses.txt nor disparity/", kGiveTruth);

@@ -432,6 +432,27 @@ TEST_F(Cli, EvaluateComparesARunWithTheTruth) {
                            "disparity_histogram.svg", "map_errors.png"}) {
     EXPECT_TRUE(fs::exists(plots / file)) << file;
   }
+  // Further sub-maps are aligned by themselves; KITTI's poses belong to the frames.
+  const fs::path parts = fresh("parts");
+  fs::copy(reference(), parts, fs::copy_options::recursive);
+  const std::string path = read_file(parts / "trajectory/tum.txt");
+  size_t fifth_line = 0;
+  for (int i = 0; i < 5; ++i) fifth_line = path.find('\n', fifth_line) + 1;
+  write_file(parts / "trajectory/tum_submap1.txt", path.substr(0, path.find('\n') + 1));
+  write_file(parts / "trajectory/tum_submap2.txt", path.substr(0, fifth_line));
+  const auto of_parts = nlohmann::json::parse(
+      run_program({"evaluate", parts.string(), "--truth", (truth / "truth/trajectory.tum").string(), "--json", "-"})
+          .output)["trajectory"];
+  EXPECT_EQ(of_parts["ate_rmse"], figures["trajectory"]["ate_rmse"]);
+  ASSERT_EQ(of_parts["submaps"].size(), 2u);  // the third has a single pose
+  EXPECT_EQ(of_parts["submaps"][1]["file"], "tum_submap2.txt");
+  EXPECT_EQ(of_parts["submaps"][1]["poses"], 5);
+  const auto as_kitti =
+      nlohmann::json::parse(run_program({"evaluate", reference().string(), "--truth",
+                                         (reference() / "trajectory/kitti.txt").string(), "--json", "-"})
+                                .output)["trajectory"];
+  EXPECT_EQ(as_kitti["poses"], 14);
+  EXPECT_LT(as_kitti["ate_rmse"].get<double>(), 1e-9);
   // Single files, and JSON alone on the terminal.
   const auto single = run_program({"evaluate", (reference() / "trajectory/tum.txt").string(), "--truth",
                                    (truth / "truth/trajectory.tum").string(), "--json", "-"});

@@ -55,7 +55,7 @@ Arguments::Arguments(CLI::App& command, const std::vector<std::string>& sections
 void Arguments::resolve(const std::filesystem::path& saved) {
   if (!saved.empty()) set.read_toml(saved);
   if (!config_.empty()) set.read_toml(config_);
-  for (const auto& [name, text] : given_) set.set(name, text);
+  set.set_all(given_);
   set.validate();
   if (options.library.tour.width % 2 != 0 || options.library.tour.height % 2 != 0) {
     throw UsageError("tour.width and tour.height must be even: the video format wants it");

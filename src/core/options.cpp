@@ -92,7 +92,8 @@ void OptionSet::add(std::string_view name, bool& value, std::string_view help) {
         .unit = "",
         .help = std::string(help),
         .choices = {},
-        .default_text = ""});
+        .default_text = "",
+        .apply = {}});
 }
 
 void OptionSet::add(std::string_view name, int& value, std::string_view unit, int min, int max, std::string_view help) {
@@ -103,7 +104,8 @@ void OptionSet::add(std::string_view name, int& value, std::string_view unit, in
         .min = static_cast<double>(min),
         .max = static_cast<double>(max),
         .choices = {},
-        .default_text = ""});
+        .default_text = "",
+        .apply = {}});
 }
 
 void OptionSet::add(std::string_view name, double& value, std::string_view unit, double min, double max,
@@ -115,7 +117,8 @@ void OptionSet::add(std::string_view name, double& value, std::string_view unit,
         .min = min,
         .max = max,
         .choices = {},
-        .default_text = ""});
+        .default_text = "",
+        .apply = {}});
 }
 
 void OptionSet::add(std::string_view name, std::string& value, std::vector<std::string> choices,
@@ -125,7 +128,14 @@ void OptionSet::add(std::string_view name, std::string& value, std::vector<std::
         .unit = "",
         .help = std::string(help),
         .choices = std::move(choices),
-        .default_text = ""});
+        .default_text = "",
+        .apply = {}});
+}
+
+void OptionSet::add_preset(std::string_view name, std::string& value, std::vector<std::string> choices,
+                           std::function<void()> apply, std::string_view help) {
+  add(name, value, std::move(choices), help);
+  options_.back().apply = std::move(apply);
 }
 
 void OptionSet::set(std::string_view name, std::string_view text) {
@@ -158,6 +168,20 @@ void OptionSet::set(std::string_view name, std::string_view text) {
     static constexpr const char* kKinds[] = {"true or false", "a whole number", "a number", "text"};
     throw UsageError(fmt::format("{} = '{}' is not {}", name, text, kKinds[found->value.index()]));
   }
+  // A name that is no choice is left for validate(), which tells all problems at once.
+  const auto known = [&] { return std::find(found->choices.begin(), found->choices.end(), text); };
+  if (found->apply && known() != found->choices.end()) found->apply();
+}
+
+void OptionSet::set_all(const std::vector<std::pair<std::string, std::string>>& values) {
+  const auto is_preset = [&](const std::string& name) {
+    return std::any_of(options_.begin(), options_.end(), [&](const Option& o) { return o.name == name && o.apply; });
+  };
+  for (const bool presets : {true, false}) {
+    for (const auto& [name, text] : values) {
+      if (is_preset(name) == presets) set(name, text);
+    }
+  }
 }
 
 void OptionSet::read_toml(const std::filesystem::path& path) {
@@ -169,6 +193,7 @@ void OptionSet::read_toml(const std::filesystem::path& path) {
     throw InputError(path, fmt::format("line {}: {}", error.source().begin.line, error.description()),
                      "mend this line; the file is TOML, as in stereo.disparities = 64");
   }
+  std::vector<std::pair<std::string, std::string>> values;
   visit_leaves(table, "", [&](const std::string& name, const toml::node& node) {
     std::string text;
     if (const auto* v = node.as_string())
@@ -181,12 +206,13 @@ void OptionSet::read_toml(const std::filesystem::path& path) {
       text = v->get() ? "true" : "false";
     else
       throw InputError(path, name + " is neither text, number nor true/false", "see iris run --help for the options");
-    try {
-      set(name, text);
-    } catch (const UsageError& error) {
-      throw UsageError(path.string() + ": " + error.what());
-    }
+    values.emplace_back(name, text);
   });
+  try {
+    set_all(values);
+  } catch (const UsageError& error) {
+    throw UsageError(path.string() + ": " + error.what());
+  }
 }
 
 std::string OptionSet::to_toml(const std::vector<std::string>& sections) const {

@@ -1,6 +1,7 @@
 #include "census.h"
 
 #include <algorithm>
+#include <bit>
 #include <vector>
 
 #include "iris/core/error.h"
@@ -66,6 +67,18 @@ Census census_transform(const cv::Mat1b& image) {
     }
   });
   return census;
+}
+
+cv::Mat1b rank_transform(const Census& census) {
+  cv::Mat1b rank(census[0].size());
+  for (int y = 0; y < rank.rows; ++y) {
+    for (int x = 0; x < rank.cols; ++x) {
+      int darker = 0;
+      for (const cv::Mat1b& plane : census) darker += std::popcount(static_cast<unsigned>(plane(y, x)));
+      rank(y, x) = static_cast<uint8_t>(darker);
+    }
+  }
+  return rank;
 }
 
 }  // namespace iris::stereo

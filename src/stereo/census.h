@@ -12,4 +12,7 @@ namespace iris::stereo {
 using Census = std::array<cv::Mat1b, 3>;
 Census census_transform(const cv::Mat1b& image);
 
+// Rank transform: how many of the neighbours are darker, 0 … 24.
+cv::Mat1b rank_transform(const Census& census);
+
 }  // namespace iris::stereo

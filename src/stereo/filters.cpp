@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <opencv2/imgproc.hpp>
 
 #include "iris/core/parallel.h"
 
@@ -27,6 +28,18 @@ void reject_ambiguous(const Correlation& correlation, int min_margin, cv::Mat1w&
   });
 }
 
+void reject_outermost(int min_disparity, cv::Mat1w& winner) {
+  const int last = winner.cols - 1;
+  for (int y = 0; y < winner.rows; ++y) {
+    uint16_t* w = winner[y];
+    for (int x = 0; x < winner.cols; ++x) {
+      const int partner = x - min_disparity - w[x];
+      const bool outermost = (partner == 0 && x > 0) || (partner == last && x < last);
+      w[x] = outermost ? Correlation::kNone : w[x];
+    }
+  }
+}
+
 void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double tolerance, cv::Mat1w& winner) {
   const int largest = static_cast<int>(std::floor(tolerance));
   parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
@@ -42,7 +55,8 @@ void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double t
   });
 }
 
-cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, float smallest) {
+cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, SubPixel fit,
+                 float smallest) {
   cv::Mat1f disparity(winner.size());
   parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
     for (int y = y0; y < y1; ++y) {
@@ -52,9 +66,13 @@ cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int mi
       const uint16_t* after = correlation.after[y];
       float* out = disparity[y];
       for (int x = 0; x < winner.cols; ++x) {
-        const int steeper = std::max(before[x], after[x]) - cost[x];
-        const bool inside = std::max(before[x], after[x]) != Correlation::kNone && steeper > 0;
-        const float offset = inside ? 0.5f * (before[x] - after[x]) / static_cast<float>(std::max(1, steeper)) : 0.0f;
+        // V: the steeper side has the slope of both. Parabola: the mean of both sides' slopes is its curvature.
+        const int highest = std::max(before[x], after[x]);
+        const int spread = fit == SubPixel::parabola ? before[x] + after[x] - 2 * cost[x] : 2 * (highest - cost[x]);
+        const bool inside = fit != SubPixel::off && highest != Correlation::kNone && spread > 0;
+        const float offset = inside ? static_cast<float>(before[x] - after[x]) /
+                                          static_cast<float>((fit == SubPixel::parabola ? 2 : 1) * std::max(1, spread))
+                                    : 0.0f;
         const float value = std::max(static_cast<float>(w[x] + min_disparity) + offset, smallest);
         out[x] = w[x] == Correlation::kNone ? 0.0f : value;
       }
@@ -144,6 +162,15 @@ void reject_small(int min_size, cv::Mat1f& disparity, Segments& segments) {
       }
     }
   });
+}
+
+cv::Mat1f smooth(const cv::Mat1f& disparity) {
+  cv::Mat1f median, out = disparity.clone();
+  cv::medianBlur(disparity, median, 5);
+  cv::Mat1b whole = disparity > 0;
+  cv::erode(whole, whole, cv::Mat1b(5, 5, uchar{1}), cv::Point(-1, -1), 1, cv::BORDER_CONSTANT, cv::Scalar(0));
+  median.copyTo(out, whole);
+  return out;
 }
 
 }  // namespace iris::stereo

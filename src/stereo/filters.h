@@ -11,14 +11,25 @@ namespace iris::stereo {
 // less than `min_margin` [cost units] above it, or if there is none to compare with (at the very edge of the image).
 void reject_ambiguous(const Correlation& correlation, int min_margin, cv::Mat1w& winner);
 
+// Rejects winners whose partner is the outermost column of the right image: the candidate behind it does not exist, so
+// that nobody knows whether the cost still falls. Nearly all of them are pixels that the right camera does not see.
+void reject_outermost(int min_disparity, cv::Mat1w& winner);
+
 // Left/right check: rejects a winner if the search from the right image, at the corresponding pixel, found a disparity
 // that differs by more than `tolerance` [px].
 void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double tolerance, cv::Mat1w& winner);
 
-// Disparities [px] of the remaining winners, 0 = none: refined by a V through the winner's cost and its neighbours,
-// with equal slopes on both sides (sums of absolute differences grow linearly around their minimum). At the ends of the
-// search range without refinement. Values below `smallest` are set to it.
-cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, float smallest);
+// What is fitted to the costs of the winner and its two neighbours.
+enum class SubPixel {
+  off,
+  parabola,  // as in the thesis
+  v,         // two lines of equal slope: sums of absolute differences grow linearly around their minimum
+};
+
+// Disparities [px] of the remaining winners, 0 = none: the minimum of the fitted function. At the ends of the search
+// range without refinement. Values below `smallest` are set to it.
+cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, SubPixel fit,
+                 float smallest);
 
 // Labels of 4-connected segments of valid disparities (> 0) whose neighbours differ by at most `tolerance` [px];
 // -1 = invalid. Labels count from 0 in the order of each segment's first pixel. `sizes` [px] per label.
@@ -30,5 +41,8 @@ Segments find_segments(const cv::Mat1f& disparity, double tolerance);
 
 // Segment filter: disparities of segments smaller than `min_size` [px] become 0, their labels -1.
 void reject_small(int min_size, cv::Mat1f& disparity, Segments& segments);
+
+// Median over 5x5 pixels, for those whose 5x5 neighbours are all valid (> 0) and inside of the image; others stay.
+cv::Mat1f smooth(const cv::Mat1f& disparity);
 
 }  // namespace iris::stereo

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 #include <vector>
 
 #include "iris/core/parallel.h"
@@ -35,19 +36,31 @@ Estimate along_line(const Neighbour& a, const Neighbour& b) {
   return a.disparity <= b.disparity ? Estimate{a.disparity, a.segment} : Estimate{b.disparity, b.segment};
 }
 
-float second_smallest(const std::array<Neighbour, 4>& neighbours) {
-  std::array<float, 4> values;
-  int n = 0;
+// The smallest disparity or, if there are two, the second smallest.
+float smallest(const std::array<Neighbour, 4>& neighbours, bool second) {
+  float first = std::numeric_limits<float>::infinity(), next = first;
   for (const Neighbour& neighbour : neighbours) {
-    if (neighbour.distance > 0) values[n++] = neighbour.disparity;
+    if (neighbour.distance == 0) continue;
+    next = std::min(next, std::max(first, neighbour.disparity));
+    first = std::min(first, neighbour.disparity);
   }
-  std::sort(values.begin(), values.begin() + n);
-  return values[std::min(1, n - 1)];
+  return second && next < std::numeric_limits<float>::infinity() ? next : first;
+}
+
+// Whether the gap between two neighbours in a row is the strip of background that an object at the right hides from the
+// right camera: as wide as the step of disparity, with some tolerance for the pixels that windows lose on either side.
+bool hidden(const Neighbour& left, const Neighbour& right) {
+  constexpr float kTolerance = 2;  // [px]
+  if (left.distance == 0 || right.distance == 0 || left.segment == right.segment) return false;
+  const float step = right.disparity - left.disparity;
+  return step > 0 && static_cast<float>(left.distance + right.distance - 1) <= step + kTolerance;
 }
 
 }  // namespace
 
-DisparityImage interpolate(const cv::Mat1f& disparity, const Segments& segments, Interpolation mode) {
+DisparityImage interpolate(const cv::Mat1f& disparity, const cv::Mat1b& corrected, const Segments& segments,
+                           const InterpolationParameters& parameters) {
+  const Interpolation mode = parameters.mode;
   const cv::Mat1i& label = segments.label;
   DisparityImage out;
   out.disparity = disparity.clone();
@@ -86,12 +99,14 @@ DisparityImage interpolate(const cv::Mat1f& disparity, const Segments& segments,
     float value;
     if (!in_row) {
       value = along_line(top, bottom).disparity;
-    } else if (!in_column || (left.distance == 0 && right.distance > 0)) {
+    } else if (!in_column || (parameters.left_from_right && left.distance == 0)) {
       value = along_line(left, right).disparity;
+    } else if (parameters.hidden_strips && hidden(left, right)) {
+      value = left.disparity;
     } else {
       const Estimate row = along_line(left, right), column = along_line(top, bottom);
       value = row.segment == column.segment ? 0.5f * (row.disparity + column.disparity)
-                                            : second_smallest({left, right, top, bottom});
+                                            : smallest({left, right, top, bottom}, parameters.second_smallest);
     }
     out.disparity(y, x) = value;
     out.origin(y, x) =
@@ -100,7 +115,10 @@ DisparityImage interpolate(const cv::Mat1f& disparity, const Segments& segments,
   parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
     for (int y = y0; y < y1; ++y) {
       for (int x = 0; x < disparity.cols; ++x) {
-        out.origin(y, x) = static_cast<uint8_t>(label(y, x) >= 0 ? DisparityOrigin::measured : DisparityOrigin::none);
+        const bool moved = !corrected.empty() && corrected(y, x) != 0;
+        out.origin(y, x) = static_cast<uint8_t>(label(y, x) < 0 ? DisparityOrigin::none
+                                                : moved         ? DisparityOrigin::corrected
+                                                                : DisparityOrigin::measured);
       }
       if (mode == Interpolation::off) continue;
       for (int x = 0; x < disparity.cols;) {

@@ -8,15 +8,28 @@ namespace iris::stereo {
 
 enum class Interpolation { off, within, everywhere };
 
-// Every valid disparity is kept (origin measured). An invalid pixel looks for the nearest valid disparity to the left,
-// right, above and below, and at the segments they belong to.
+struct InterpolationParameters {
+  Interpolation mode = Interpolation::everywhere;
+  bool second_smallest = true;  // between segments; else the smallest, as in the thesis
+  bool left_from_right = true;  // runs at the left edge continue their right neighbour alone
+  bool hidden_strips = true;    // strips that an object hides from the right camera continue their left neighbour
+};
+
+// Every valid disparity is kept; its origin is measured, or corrected where `corrected` (empty = nowhere) is not 0. An
+// invalid pixel looks for the nearest valid disparity to the left, right, above and below, and at the segments they
+// belong to.
 //   * All four of one segment: the mean of the linear interpolations along the row and along the column (3.5-3.7);
 //     origin within_segment.
 //   * Otherwise, if `everywhere`, origin between_segments:
-//       - no valid pixel to the left: the right neighbour (this strip is seen by the left camera alone);
+//       - left_from_right and no valid pixel to the left: the right neighbour (this strip is seen by the left camera
+//         alone);
+//       - hidden_strips and, in the row, the right neighbour is nearer than the left one, of another segment, and the
+//       gap
+//         at most 2 px wider than the step of disparity: the left neighbour;
 //       - row and column both lead to one segment by (3.5), (3.6): the mean of both (3.7);
-//       - otherwise the second smallest of the neighbours. The thesis takes the smallest, the background; one wrong
-//         small disparity among the four then spreads over the gap.
-DisparityImage interpolate(const cv::Mat1f& disparity, const Segments& segments, Interpolation mode);
+//       - otherwise the smallest of the neighbours, the background; or the second smallest: one wrong small disparity
+//         among the four then does not spread over the gap.
+DisparityImage interpolate(const cv::Mat1f& disparity, const cv::Mat1b& corrected, const Segments& segments,
+                           const InterpolationParameters& parameters);
 
 }  // namespace iris::stereo

@@ -9,12 +9,29 @@
 namespace iris::stereo {
 namespace {
 
-constexpr int kLargestRange = 512;   // [px]
-constexpr double kSurface = 0.002;   // smallest surface that counts, as a fraction of a frame
-constexpr double kMarginFactor = 8;  // the search is wide, so that wrong matches are more likely than in mwmf itself
+constexpr int kLargestRange = 512;  // [px]
+constexpr double kSurface = 0.002;  // smallest surface that counts, as a fraction of a frame
 // Part of the measured pixels that the range covers. The rest is what comes extremely near for a moment, and wrong
 // matches, which spread over the whole search; both would double the work for every frame.
 constexpr double kCovered = 0.997;
+
+// Settings under which wrong matches are few although the search is wide; they do not depend on how the user wants the
+// images to be compared afterwards.
+MwmfOptions wide_search(const MwmfOptions& options, cv::Size half_size) {
+  MwmfOptions wide;
+  wide.min_disparity = options.min_disparity / 2;
+  wide.disparities = std::max(8, std::min(kLargestRange / 2, half_size.width / 2));
+  wide.interpolation = "off";
+  wide.measure = "census_sad";
+  wide.window_width = wide.window_height = 7;
+  wide.log_sigma = 1;
+  wide.difference_cap = 2;
+  wide.min_margin = 0.16;
+  wide.left_right_tolerance = 0;
+  wide.borders = "off";
+  wide.min_segment = std::max(1, static_cast<int>(std::lround(kSurface * half_size.area())));
+  return wide;
+}
 
 }  // namespace
 
@@ -25,14 +42,7 @@ SearchRange estimate_search_range(const std::vector<StereoPair>& sample_pairs, c
     cv::Mat1b left, right;
     cv::resize(pair.left, left, cv::Size(), 0.5, 0.5, cv::INTER_AREA);
     cv::resize(pair.right, right, cv::Size(), 0.5, 0.5, cv::INTER_AREA);
-    MwmfOptions wide = options;
-    wide.min_disparity = options.min_disparity / 2;
-    wide.disparities = std::max(8, std::min(kLargestRange / 2, left.cols / 2));
-    wide.interpolation = "off";
-    wide.left_right_tolerance = 0;
-    wide.min_margin = kMarginFactor * options.min_margin;
-    wide.min_segment = std::max(1, static_cast<int>(std::lround(kSurface * left.total())));
-    const DisparityImage measured = mwmf(left, right, wide);
+    const DisparityImage measured = mwmf(left, right, wide_search(options, left.size()));
     for (int y = 0; y < left.rows; ++y) {
       for (int x = 0; x < left.cols; ++x) {
         if (measured.origin(y, x) == static_cast<uint8_t>(DisparityOrigin::none)) continue;

@@ -111,7 +111,7 @@ struct Steps {
     winner = correlation.winner.clone();
     reject_ambiguous(correlation, 30, winner);
     reject_one_sided(correlation.right_winner, 0, 1, winner);
-    disparity = refine(correlation, winner, 0, kSmallestDisparity);
+    disparity = refine(correlation, winner, 0, SubPixel::v, kSmallestDisparity);
   }
 };
 Steps& steps() {
@@ -187,7 +187,7 @@ void register_steps(const std::string& input) {
               cv::Mat1f disparity = made.raw.clone();
               Segments segments = find_segments(disparity, 1);
               reject_small(100, disparity, segments);
-              measure(state, 1, [&] { DoNotOptimize(interpolate(disparity, segments, Interpolation::everywhere)); });
+              measure(state, 1, [&] { DoNotOptimize(interpolate(disparity, {}, segments, {})); });
             }}});
 }
 
@@ -212,9 +212,15 @@ void register_stereo() {
              opencv_contender("OpenCV StereoSGBM 3WAY", 1, source, kSgbm3)});
   }
   const auto& [input, source] = inputs[0];
-  compare("stereo", "grey values alone (thesis)", input,
-          {mwmf_contender("IRIS", 1, source, [](MwmfOptions& options) { options.measure = "difference"; }),
-           mwmf_contender("IRIS, census", 1, source)});
+  const auto preset = [](const char* name) {
+    return [name](MwmfOptions& options) {
+      options.preset = name;
+      options.apply_preset();
+    };
+  };
+  compare("stereo", "presets", input,
+          {mwmf_contender("IRIS, quality", 1, source, preset("quality")),
+           mwmf_contender("IRIS, thesis", 1, source, preset("thesis")), mwmf_contender("IRIS, default", 1, source)});
   compare("stereo", "two threads", input,
           {mwmf_contender("IRIS", 2, source), mwmf_contender("IRIS, one thread", 1, source),
            opencv_contender("OpenCV StereoBM 11x11, two threads", 2, source, block_matcher),

@@ -89,6 +89,46 @@ TEST_F(Options, AreSetFromText) {
   EXPECT_EQ(sample_.label, "it's = 5");
 }
 
+// A preset stands for the values of other options.
+struct WithPreset {
+  std::string preset = "fine";
+  int step = 1;
+  double scale = 0.5;
+
+  void declare(OptionSet& set) {
+    set.section("a");
+    set.add_preset(
+        "preset", preset, {"fine", "coarse"}, [this] { step = preset == "coarse" ? 8 : 1; }, "a preset");
+    set.add("step", step, "px", 1, 16, "a step");
+    set.add("scale", scale, "m", 0, 1, "a scale");
+  }
+};
+
+TEST_F(Options, APresetGivesWayToWhatIsSetBesideItInAnyOrder) {
+  WithPreset sample;
+  OptionSet set;
+  sample.declare(set);
+  set.set_all({{"a.scale", "0.25"}, {"a.preset", "coarse"}});
+  EXPECT_EQ(sample.step, 8);
+  EXPECT_EQ(sample.scale, 0.25);
+  set.set_all({{"a.step", "3"}, {"a.preset", "coarse"}});
+  EXPECT_EQ(sample.step, 3);
+  set.set_all({{"a.preset", "fine"}});  // given later and elsewhere: wins over the step
+  EXPECT_EQ(sample.step, 1);
+  write_file(toml_, std::string_view("[a]\nstep = 5\npreset = 'coarse'\n"));
+  set.read_toml(toml_);
+  EXPECT_EQ(sample.step, 5);
+  // The options of a result are explicit: reading them gives the same, whatever the preset stands for by then.
+  WithPreset again;
+  OptionSet other;
+  again.declare(other);
+  write_file(toml_, set.to_toml());
+  other.read_toml(toml_);
+  EXPECT_EQ(other.to_toml(), set.to_toml());
+  set.set("a.preset", "fast");
+  EXPECT_THAT(message_of<UsageError>([&] { set.validate(); }), HasSubstr("a.preset = fast must be one of fine|coarse"));
+}
+
 TEST_F(Options, RefuseTextThatIsNoValue) {
   for (const auto& [name, text] :
        std::vector<std::pair<std::string, std::string>>{{"stereo.refine", "yes"},

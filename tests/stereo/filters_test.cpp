@@ -2,8 +2,10 @@
 
 #include <gmock/gmock.h>
 
+#include <algorithm>
 #include <map>
 #include <queue>
+#include <vector>
 
 #include "support/stereo_pairs.h"
 
@@ -44,14 +46,57 @@ TEST(Refine, FitsAV) {
   c.before = (cv::Mat1w(1, 5) << 150, kNone, 50, 130, 140);
   c.after = (cv::Mat1w(1, 5) << 130, 130, 50, 110, 120);
   const cv::Mat1w winner = (cv::Mat1w(1, 5) << 10, 10, 10, kNone, 0);
-  const cv::Mat1f d = refine(c, winner, 0, 0.0625f);
+  const cv::Mat1f d = refine(c, winner, 0, SubPixel::v, 0.0625f);
   EXPECT_FLOAT_EQ(d(0, 0), 10.25f);
   EXPECT_FLOAT_EQ(d(0, 1), 10.0f);  // at the end of the range
   EXPECT_FLOAT_EQ(d(0, 2), 10.0f);  // all equal
   EXPECT_FLOAT_EQ(d(0, 3), 0.0f);   // invalid
   EXPECT_FLOAT_EQ(d(0, 4), 0.25f);
-  EXPECT_FLOAT_EQ(refine(c, winner, -7, 0.0625f)(0, 0), 3.25f);
-  EXPECT_FLOAT_EQ(refine(c, winner, -20, 0.0625f)(0, 0), 0.0625f);  // beyond infinity
+  EXPECT_FLOAT_EQ(refine(c, winner, -7, SubPixel::v, 0.0625f)(0, 0), 3.25f);
+  EXPECT_FLOAT_EQ(refine(c, winner, -20, SubPixel::v, 0.0625f)(0, 0), 0.0625f);  // beyond infinity
+}
+
+TEST(Refine, FitsAParabolaOrNothing) {
+  Correlation c;
+  // 20 (d - 10.25)^2 + 100 at 9, 10, 11, times 4: 525, 405, 445.
+  c.cost = (cv::Mat1w(1, 3) << 405, 110, 50);
+  c.before = (cv::Mat1w(1, 3) << 525, kNone, 50);
+  c.after = (cv::Mat1w(1, 3) << 445, 130, 50);
+  const cv::Mat1w winner = (cv::Mat1w(1, 3) << 10, 10, 10);
+  const cv::Mat1f d = refine(c, winner, 0, SubPixel::parabola, 0.0625f);
+  EXPECT_FLOAT_EQ(d(0, 0), 10.25f);
+  EXPECT_FLOAT_EQ(d(0, 1), 10.0f);
+  EXPECT_FLOAT_EQ(d(0, 2), 10.0f);
+  EXPECT_FLOAT_EQ(refine(c, winner, 0, SubPixel::off, 0.0625f)(0, 0), 10.0f);
+}
+
+TEST(Outermost, PartnersInTheLastColumnsAreRejectedUnlessTheyAreTheLastInBoth) {
+  cv::Mat1w winner = (cv::Mat1w(1, 5) << 0, 1, 1, 3, kNone);  // partners 0, 0, 1, 0, -
+  reject_outermost(0, winner);
+  EXPECT_THAT(std::vector<int>(winner.begin(), winner.end()), ::testing::ElementsAre(0, kNone, 1, kNone, kNone));
+  winner = (cv::Mat1w(1, 5) << 0, 1, 1, 2, 3);  // partners 3, 3, 4, 4, 4
+  reject_outermost(-3, winner);
+  EXPECT_THAT(std::vector<int>(winner.begin(), winner.end()), ::testing::ElementsAre(0, 1, kNone, kNone, 3));
+}
+
+TEST(Smooth, MedianWhereAllNeighboursAreValid) {
+  cv::RNG random(3);
+  cv::Mat1f disparity(30, 40);
+  for (float& d : disparity) d = random.uniform(0, 20) == 0 ? 0.0f : random.uniform(1.0f, 9.0f);
+  const cv::Mat1f out = smooth(disparity);
+  for (int y = 0; y < disparity.rows; ++y) {
+    for (int x = 0; x < disparity.cols; ++x) {
+      std::vector<float> values;
+      for (int v = y - 2; v <= y + 2; ++v) {
+        for (int u = x - 2; u <= x + 2; ++u) {
+          const bool inside = v >= 0 && u >= 0 && v < disparity.rows && u < disparity.cols;
+          if (inside && disparity(v, u) > 0) values.push_back(disparity(v, u));
+        }
+      }
+      std::sort(values.begin(), values.end());
+      ASSERT_EQ(out(y, x), values.size() == 25 ? values[12] : disparity(y, x));
+    }
+  }
 }
 
 // Labels by flood fill.

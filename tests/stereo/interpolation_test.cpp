@@ -14,7 +14,7 @@ namespace {
 constexpr uchar kMeasured = 1, kWithin = 3, kBetween = 4;
 
 DisparityImage run(const cv::Mat1f& disparity, Interpolation mode) {
-  return interpolate(disparity, find_segments(disparity, 1.0), mode);
+  return interpolate(disparity, {}, find_segments(disparity, 1.0), {.mode = mode});
 }
 
 TEST(Interpolation, OffKeepsHoles) {
@@ -39,7 +39,7 @@ TEST(Interpolation, WithinASegmentTheMeanOfRowAndColumn) {
 
 TEST(Interpolation, BetweenSegmentsTheSecondSmallestNeighbour) {
   const cv::Mat1f d = (cv::Mat1f(3, 3) << 0, 3, 0,  //
-                       9, 0, 20,                    //
+                       20, 0, 9,                    //
                        0, 5, 0);
   EXPECT_EQ(run(d, Interpolation::within).disparity(1, 1), 0);
   const DisparityImage out = run(d, Interpolation::everywhere);
@@ -66,6 +66,25 @@ TEST(Interpolation, TheStripThatOnlyTheLeftCameraSeesContinuesItsRightNeighbour)
   EXPECT_FLOAT_EQ(out.disparity(1, 1), 30);
 }
 
+TEST(Interpolation, AStripHiddenByAnObjectContinuesTheBackgroundAtItsLeft) {
+  // The object (9) hides 5 columns of the background (4) from the right camera; further rows are of the object.
+  const cv::Mat1f d = (cv::Mat1f(3, 9) << 4, 4, 9, 9, 9, 9, 9, 9, 9,  //
+                       4, 4, 0, 0, 0, 0, 0, 9, 9,                     //
+                       4, 4, 9, 9, 9, 9, 9, 9, 9);
+  for (int x = 2; x < 7; ++x) {
+    EXPECT_FLOAT_EQ(run(d, Interpolation::everywhere).disparity(1, x), 4);
+    const DisparityImage without = interpolate(d, {}, find_segments(d, 1.0), {.hidden_strips = false});
+    EXPECT_FLOAT_EQ(without.disparity(1, x), 9);
+  }
+}
+
+TEST(Interpolation, SaysWhatWasCorrected) {
+  const cv::Mat1f d = (cv::Mat1f(1, 3) << 5, 5, 0);
+  const cv::Mat1b corrected = (cv::Mat1b(1, 3) << 0, 255, 255);
+  const DisparityImage out = interpolate(d, corrected, find_segments(d, 1.0), {.mode = Interpolation::off});
+  EXPECT_THAT(std::vector<int>(out.origin.begin(), out.origin.end()), ::testing::ElementsAre(1, 2, 0));
+}
+
 TEST(Interpolation, AnEmptyImageStaysEmptyAndOnePixelFillsItsCross) {
   cv::Mat1f d(5, 5, 0.0f);
   EXPECT_EQ(cv::countNonZero(run(d, Interpolation::everywhere).disparity), 0);
@@ -76,7 +95,8 @@ TEST(Interpolation, AnEmptyImageStaysEmptyAndOnePixelFillsItsCross) {
 }
 
 // (3.5) - (3.7) with the changes that interpolation.h states, pixel by pixel.
-float reference(const cv::Mat1f& d, const cv::Mat1i& label, int y, int x, bool everywhere, uchar& origin) {
+float reference(const cv::Mat1f& d, const cv::Mat1i& label, int y, int x, const InterpolationParameters& p,
+                uchar& origin) {
   struct Hit {
     float d;
     int segment, distance;
@@ -100,17 +120,21 @@ float reference(const cv::Mat1f& d, const cv::Mat1i& label, int y, int x, bool e
   if (!row && !column) return 0;
   bool within = true;
   for (const auto& hit : hits) within &= hit && hits[0] && hit->segment == hits[0]->segment;
-  if (!within && !everywhere) return 0;
+  if (!within && p.mode != Interpolation::everywhere) return 0;
   origin = within ? kWithin : kBetween;
   if (!row) return column->d;
-  if (!column || !hits[0]) return row->d;
+  if (!column || (p.left_from_right && !hits[0])) return row->d;
+  if (p.hidden_strips && hits[0] && hits[1] && hits[0]->segment != hits[1]->segment && hits[0]->d < hits[1]->d) {
+    const int gap = hits[0]->distance + hits[1]->distance - 1;
+    if (gap <= hits[1]->d - hits[0]->d + 2) return hits[0]->d;
+  }
   if (row->segment == column->segment) return (row->d + column->d) / 2;
   std::vector<float> values;
   for (const auto& hit : hits) {
     if (hit) values.push_back(hit->d);
   }
   std::sort(values.begin(), values.end());
-  return values[std::min<size_t>(1, values.size() - 1)];
+  return values[std::min<size_t>(p.second_smallest ? 1 : 0, values.size() - 1)];
 }
 
 TEST(Interpolation, EqualsTheDefinitionOnRandomImagesWithAnyNumberOfThreads) {
@@ -119,11 +143,14 @@ TEST(Interpolation, EqualsTheDefinitionOnRandomImagesWithAnyNumberOfThreads) {
     cv::Mat1f d(random.uniform(1, 50), random.uniform(1, 150));
     for (float& v : d) v = random.uniform(0, 3) == 0 ? random.uniform(1.0f, 6.0f) : 0.0f;
     const Segments segments = find_segments(d, 2.0);
-    for (const bool everywhere : {false, true}) {
-      const Interpolation mode = everywhere ? Interpolation::everywhere : Interpolation::within;
+    for (int variant = 0; variant < 9; ++variant) {
+      const InterpolationParameters p{.mode = variant == 8 ? Interpolation::within : Interpolation::everywhere,
+                                      .second_smallest = (variant & 1) != 0,
+                                      .left_from_right = (variant & 2) != 0,
+                                      .hidden_strips = (variant & 4) != 0};
       DisparityImage out, many;
-      with_threads(1, [&] { out = interpolate(d, segments, mode); });
-      with_threads(4, [&] { many = interpolate(d, segments, mode); });
+      with_threads(1, [&] { out = interpolate(d, {}, segments, p); });
+      with_threads(4, [&] { many = interpolate(d, {}, segments, p); });
       ASSERT_EQ(cv::countNonZero(out.disparity != many.disparity), 0);
       ASSERT_EQ(cv::countNonZero(out.origin != many.origin), 0);
       for (int y = 0; y < d.rows; ++y) {
@@ -134,7 +161,7 @@ TEST(Interpolation, EqualsTheDefinitionOnRandomImagesWithAnyNumberOfThreads) {
             continue;
           }
           uchar origin;
-          const float expected = reference(d, segments.label, y, x, everywhere, origin);
+          const float expected = reference(d, segments.label, y, x, p, origin);
           ASSERT_NEAR(out.disparity(y, x), expected, 1e-4) << y << " " << x;
           ASSERT_EQ(out.origin(y, x), origin) << y << " " << x;
         }

@@ -44,6 +44,34 @@ inline TruthPair motorcycle_pair() {
   return pair;
 }
 
+// Pixels whose surface the right camera sees: 255; hidden ones, those outside of its image and those without truth: 0.
+// The truth is warped into the right image, where of several surfaces the nearest is visible; a pixel is hidden if
+// another one lies before it there by more than a pixel of disparity.
+inline cv::Mat1b visible_in_both(const cv::Mat1f& truth) {
+  cv::Mat1b visible(truth.size(), uchar{0});
+  std::vector<float> nearest(truth.cols);
+  for (int y = 0; y < truth.rows; ++y) {
+    std::fill(nearest.begin(), nearest.end(), 0.0f);
+    // A surface covers the right columns between the partners of neighbouring pixels that belong to it.
+    for (int x = 0; x < truth.cols; ++x) {
+      const float d = truth(y, x);
+      if (!(d > 0)) continue;
+      const bool joined = x > 0 && truth(y, x - 1) > 0 && std::abs(truth(y, x - 1) - d) <= 1;
+      const int end = static_cast<int>(std::lround(static_cast<float>(x) - d));
+      const int begin = joined ? static_cast<int>(std::lround(static_cast<float>(x - 1) - truth(y, x - 1))) : end;
+      for (int u = std::max(0, std::min(begin, end)); u <= std::min(truth.cols - 1, std::max(begin, end)); ++u) {
+        nearest[u] = std::max(nearest[u], d);
+      }
+    }
+    for (int x = 0; x < truth.cols; ++x) {
+      const float d = truth(y, x);
+      const int u = static_cast<int>(std::lround(static_cast<float>(x) - d));
+      if (d > 0 && u >= 0 && u < truth.cols && nearest[u] - d <= 1) visible(y, x) = 255;
+    }
+  }
+  return visible;
+}
+
 // Pair `index` of the EuRoC recording, rectified with OpenCV.
 inline std::pair<cv::Mat1b, cv::Mat1b> rectified_euroc_pair(int index) {
   const auto folder = test_data("euroc_mh01") / "mav0";

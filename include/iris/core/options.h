@@ -5,9 +5,11 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <limits>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <variant>
 #include <vector>
 
@@ -24,6 +26,7 @@ class OptionSet {
     double max = std::numeric_limits<double>::infinity();
     std::vector<std::string> choices;  // strings: the allowed values; empty = any
     std::string default_text;
+    std::function<void()> apply;  // presets: sets the options that the chosen name stands for
   };
 
   // Everything declared after this call is named "<section>.<name>".
@@ -34,13 +37,23 @@ class OptionSet {
   void add(std::string_view name, double& value, std::string_view unit, double min, double max, std::string_view help);
   void add(std::string_view name, std::string& value, std::vector<std::string> choices, std::string_view help);
 
+  // A preset: a name for the values of several other options. `apply` sets them; it is called whenever `value` is set
+  // to one of the choices.
+  void add_preset(std::string_view name, std::string& value, std::vector<std::string> choices,
+                  std::function<void()> apply, std::string_view help);
+
   const std::vector<Option>& options() const { return options_; }
 
   // Sets one option from text. Throws UsageError for an unknown name (with the nearest known one) or text that is no
   // value.
   void set(std::string_view name, std::string_view text);
 
-  // Reads a TOML file with [section] tables or dotted keys. Throws InputError naming the file and the key.
+  // Sets options that come from one place (a file, the command line), as (name, text): presets first, whatever the
+  // order, so that what is given explicitly beside a preset wins. A preset overrides everything set before.
+  void set_all(const std::vector<std::pair<std::string, std::string>>& values);
+
+  // Reads a TOML file with [section] tables or dotted keys; the file counts as one place in the sense of set_all.
+  // Throws InputError naming the file and the key.
   void read_toml(const std::filesystem::path& path);
 
   // The options of these sections (none named: all) as TOML, with unit and help as comments; read_toml of it gives the

@@ -18,7 +18,7 @@ struct SearchRange {
 
 // Correlates sample pairs at half their size over a range up to min(512, width / 2) px and takes the range that
 // holds 99.7 % of what is measured on surfaces of at least 0.2 % of a frame, with strict filters. A dozen pairs spread
-// over the recording do. The value of options.disparities is not used.
+// over the recording do. Of the options, min_disparity alone is used.
 SearchRange estimate_search_range(const std::vector<StereoPair>& sample_pairs, const MwmfOptions& options);
 
 // Fraction of the measured pixels whose disparity is within 2 px of the upper end of the search range: nearly none as

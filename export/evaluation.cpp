@@ -409,8 +409,8 @@ void plot_disparities(const fs::path& folder, const evaluate::DisparityScore& sc
   PlotSeries bars{.name = "", .colour = kPlotBlue, .style = PlotSeries::Style::bars, .bar_width = 0.09};
   const double valid = std::max<double>(1, static_cast<double>(score.all.valid));
   for (int i = 0; i < evaluate::kHistogramBins; ++i) {
-    bars.points.emplace_back(0.1 * (i - evaluate::kHistogramBins / 2),
-                             100 * static_cast<double>(score.histogram[static_cast<size_t>(i)]) / valid);
+    const int tenths = i - evaluate::kHistogramBins / 2;
+    bars.points.emplace_back(0.1 * tenths, 100 * static_cast<double>(score.histogram[static_cast<size_t>(i)]) / valid);
   }
   write_both(folder, "disparity_histogram",
              {.title = "Errors of the disparities (the outer bars hold all that are larger)",

@@ -159,6 +159,72 @@ TEST_P(EveryScene, NoTriangleTwice) {
   }
 }
 
+// Where two surfaces lie in one place, rounding would decide which is seen; where there is none, the sky shows through.
+// Random rays from the paths, traced by brute force.
+TEST_P(EveryScene, RaysMeetOneSurfaceAtATimeAndNoHole) {
+  const Scene& scene = scene_of(GetParam());
+  struct Triangle {
+    Eigen::Vector3f a, ab, ac;
+  };
+  std::vector<Triangle> triangles;
+  std::vector<const SceneObject*> owners;
+  for (const SceneObject& object : scene.objects) {
+    for (const Eigen::Vector3i& t : object.mesh.triangles) {
+      Eigen::Vector3f corners[3];
+      for (int i = 0; i < 3; ++i) {
+        const Eigen::Vector3d v = corner(object.mesh, t, i);
+        corners[i] = (object.world_from_object ? object.world_from_object(0) * v : v).cast<float>();
+      }
+      triangles.push_back({corners[0], corners[1] - corners[0], corners[2] - corners[0]});
+      owners.push_back(&object);
+    }
+  }
+  const int rays = static_cast<int>(std::min<size_t>(4000, 60'000'000 / triangles.size()));
+  const SimulatedPath path = make_path(scene, {});
+  Random random(5);
+  int holes = 0, doubles = 0;
+  std::set<std::string> where;
+  for (int k = 0; k < rays; ++k) {
+    const Pose pose = path.world_from_cam(path.seconds * k / rays);
+    const Eigen::Vector3d sight =
+        pose.linear() * Eigen::Vector3d(random.uniform(-0.84, 0.84), random.uniform(-0.54, 0.54), 1);
+    const Eigen::Vector3f from = pose.translation().cast<float>(), to = sight.cast<float>().normalized();
+    float first = 1e9f, second = 1e9f;
+    size_t first_owner = 0, second_owner = 0;
+    for (size_t i = 0; i < triangles.size(); ++i) {
+      // Moeller and Trumbore.
+      const Triangle& t = triangles[i];
+      const Eigen::Vector3f p = to.cross(t.ac);
+      const float det = t.ab.dot(p);
+      if (std::abs(det) < 1e-12f) continue;
+      const Eigen::Vector3f s = from - t.a;
+      const float u = s.dot(p) / det;
+      if (u <= 0 || u >= 1) continue;
+      const Eigen::Vector3f q = s.cross(t.ab);
+      const float v = to.dot(q) / det;
+      if (v <= 0 || u + v >= 1) continue;
+      const float along = t.ac.dot(q) / det;
+      if (along <= 0) continue;
+      if (along < first) {
+        second = first, second_owner = first_owner;
+        first = along, first_owner = i;
+      } else if (along < second) {
+        second = along, second_owner = i;
+      }
+    }
+    holes += first > 1e8f;
+    // Two bodies meet at a line; a few rays come near one.
+    if (second - first < 1e-4f && owners[first_owner]->mesh.name != owners[second_owner]->mesh.name) {
+      ++doubles;
+      where.insert(owners[first_owner]->mesh.name + " and " + owners[second_owner]->mesh.name);
+    }
+  }
+  EXPECT_LE(doubles, rays / 500) << ::testing::PrintToString(where);
+  if (GetParam() != "yard") {
+    EXPECT_EQ(holes, 0);
+  }
+}
+
 TEST_P(EveryScene, PathsKeepClearOfEverything) {
   const Scene& scene = scene_of(GetParam());
   for (const std::string& name : scene.places.paths) {

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdlib>
 #include <memory>
 #include <vector>
 
@@ -78,17 +79,20 @@ struct Way {
 template <class Value>
 std::vector<Value> smooth_ring(const std::vector<Value>& values, const Value& turn, double sigma) {
   const int n = static_cast<int>(values.size()), reach = static_cast<int>(std::ceil(3 * sigma));
-  std::vector<double> weights(static_cast<size_t>(2 * reach) + 1);
+  std::vector<double> weights;  // by distance
   double sum = 0;
-  for (int k = -reach; k <= reach; ++k)
-    sum += weights[static_cast<size_t>(k + reach)] = std::exp(-k * k / (2 * sigma * sigma));
+  for (int k = 0; k <= reach; ++k) {
+    weights.push_back(std::exp(-k * k / (2 * sigma * sigma)));
+    sum += (k == 0 ? 1 : 2) * weights.back();
+  }
   std::vector<Value> result(values.size());
   for (int i = 0; i < n; ++i) {
     Value total = turn * 0.0;
     for (int k = -reach; k <= reach; ++k) {
       const int j = i + k, round = j >= 0 ? j / n : -((-j + n - 1) / n);
-      total += (weights[static_cast<size_t>(k + reach)] / sum) *
-               (values[static_cast<size_t>(j - round * n)] + static_cast<double>(round) * turn);
+      const int inside = j - round * n, apart = std::abs(k);
+      total += (weights[static_cast<size_t>(apart)] / sum) *
+               (values[static_cast<size_t>(inside)] + static_cast<double>(round) * turn);
     }
     result[static_cast<size_t>(i)] = total;
   }
@@ -150,7 +154,7 @@ Way along_polyline(const std::vector<Vector3>& polyline) {
   std::vector<Vector3> points;
   double carry = 0;
   for (size_t i = 0; i < polyline.size(); ++i) {
-    const Vector3 from = polyline[i], to = polyline[(i + 1) % polyline.size()];
+    const Vector3 &from = polyline[i], &to = polyline[(i + 1) % polyline.size()];
     const double length = (to - from).norm();
     double s = carry;
     for (; s < length; s += kSpacing) points.push_back(from + s / length * (to - from));
@@ -259,7 +263,8 @@ Track around(const Scene& scene, const SimulateOptions& options) {
     const double room = std::max(0.0, 0.9 * half_fov - std::atan(half_width / d) - middle),
                  room_v = std::max(0.0, 0.85 * half_fov_v - std::atan(half_height / d));
     const int region = i == 0 ? 4 : (i * 4 + i / 9) % 9;
-    const double off = room * (region % 3 - 1), off_v = room_v * (region / 3 - 1);
+    const int column = region % 3 - 1, row = region / 3 - 1;
+    const double off = room * column, off_v = room_v * row;
     const double roll = i == 0 ? 0 : random.uniform(-0.3, 0.3);
     // The camera looks back along -towards; turning left (yaw grows) moves the thing to the right.
     stations.push_back(channels(look_at + d * towards, yaw + M_PI + middle + off, -pitch + off_v, roll));

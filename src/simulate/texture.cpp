@@ -529,7 +529,7 @@ Texture rug(uint32_t seed, double width, double height) {
   return {paint(w, h,
                 [&](int x, int y) {
                   const float border = std::min({x, y, w - 1 - x, h - 1 - y}) * 0.003f;
-                  const float u = (x - w / 2) * 0.003f, v = (y - h / 2) * 0.003f;
+                  const float u = (x - 0.5f * w) * 0.003f, v = (y - 0.5f * h) * 0.003f;
                   Vec3f colour = ground;
                   const float diamond = std::abs(u) / 0.16f + std::abs(v) / 0.22f;
                   const float cell = diamond - 2 * std::floor(diamond / 2);

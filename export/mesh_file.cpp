@@ -173,12 +173,14 @@ std::vector<TriangleMesh> read_meshes(const fs::path& path) {
   std::string ending = path.extension().string();
   std::transform(ending.begin(), ending.end(), ending.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  const bool linear_colours = ending == ".glb" || ending == ".gltf";
+  const bool is_gltf = ending == ".glb" || ending == ".gltf";
   std::vector<Look> looks;
   for (unsigned i = 0; i < scene->mNumMaterials; ++i)
-    looks.push_back(look_of(*scene, *scene->mMaterials[i], path, linear_colours));
+    looks.push_back(look_of(*scene, *scene->mMaterials[i], path, is_gltf));
   std::vector<TriangleMesh> meshes;
-  collect(*scene, *scene->mRootNode, Eigen::Matrix4d::Identity(), looks, meshes);
+  Eigen::Matrix4d world_from_file = Eigen::Matrix4d::Identity();
+  if (is_gltf) world_from_file.topLeftCorner<3, 3>() << 1, 0, 0, 0, 0, -1, 0, 1, 0;  // y up -> z up
+  collect(*scene, *scene->mRootNode, world_from_file, looks, meshes);
   if (meshes.empty())
     throw InputError(path, "has no triangle", "export the model with its faces; points and lines are not enough");
   for (const TriangleMesh& mesh : meshes) {

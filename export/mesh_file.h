@@ -10,7 +10,8 @@
 
 namespace iris::exporters {
 
-// The surfaces of a file, in its own axes and unit (glTF: y up, m), a mesh for each of its parts:
+// The surfaces of a file, a mesh for each of its parts, in the file's own axes and unit; glTF, which is always y up, is
+// turned z up:
 //   * everything is made of triangles; the nodes' transforms are applied; lines and points are left out;
 //   * names are those of the nodes, or of the meshes;
 //   * texture: the colour (diffuse) image of the material, inside the file or beside it, times the material's colour;

@@ -1,0 +1,151 @@
+// Chapter 5: counts of correspondences (fig. 5.5), errors of closed sequences (table 5.1, fig. 5.7), dependency on the
+// frame rate (fig. 5.10).
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <optional>
+
+#include "iris/core/parallel.h"
+#include "iris/motion/scs.h"
+#include "thesis/sequence.h"
+#include "thesis/tables.h"
+
+namespace iris::thesis {
+namespace {
+
+using motion::ScsOptions;
+using motion::ViewFeatures;
+
+constexpr std::array<const char*, 4> kModels = {"spherical", "ellipsoid", "drift", "image"};
+
+std::vector<MotionEstimate> motions_of(const std::vector<ViewFeatures>& views, const RectifiedCamera& camera,
+                                       const ScsOptions& options) {
+  std::vector<MotionEstimate> motions(views.size() - 1);
+  parallel_chunks(0, static_cast<int>(motions.size()), 4, [&](int begin, int end) {
+    for (int i = begin; i < end; ++i) {
+      const size_t k = static_cast<size_t>(i);
+      motions[k] = motion::estimate_motion(views[k], views[k + 1], camera, options);
+    }
+  });
+  return motions;
+}
+
+struct Closing {
+  int failures = 0;
+  double rotation = 0;     // [deg]
+  double translation = 0;  // [mm]
+};
+
+// The error of a closed sequence (5.4.2): all motions chained, then the motion from the last view back to the first.
+Closing closing_error(const std::vector<ViewFeatures>& views, const RectifiedCamera& camera,
+                      const ScsOptions& options) {
+  Closing closing;
+  Pose first_from_last = Pose::Identity();
+  for (const MotionEstimate& motion : motions_of(views, camera, options)) {
+    closing.failures += motion.status != MotionStatus::ok;
+    first_from_last = first_from_last * motion.prev_from_cur;
+  }
+  const MotionEstimate back = motion::estimate_motion(views.back(), views.front(), camera, options);
+  closing.failures += back.status != MotionStatus::ok;
+  const Pose round = first_from_last * back.prev_from_cur;
+  closing.rotation = rotation_angle(round) * 180 / M_PI;
+  closing.translation = round.translation().norm() * 1000;
+  return closing;
+}
+
+std::string text(const Closing& closing) {
+  if (closing.failures > 0) return fmt::format("{} failed", closing.failures);
+  return fmt::format("{:.2f}° {:.1f} mm", closing.rotation, closing.translation);
+}
+
+simulate::SimulateOptions arbitrary(double rate) {
+  simulate::SimulateOptions options = thesis_camera();
+  options.path = "roam";
+  options.rate = rate;
+  options.speed = 0.2;  // 143 mm between views at 1.5 fps, turning by 13 degrees (5.4.1)
+  options.frames = static_cast<int>(30 * rate);
+  return options;
+}
+
+// One sequence at 25 frames a second holds the slower ones.
+void print_frame_rates(const Sequence& sequence) {
+  fmt::print("\n### Figures 5.5 and 5.10: counts and closing error over the frame rate, {}\n\n", sequence.name);
+  print_heading({"fps", "views", "turn, move between views", "usable", "initial", "consistent", "used: mean", "least",
+                 "ellipsoid", "with drift compensation", "image based"});
+  for (const int stride : {1, 2, 3, 4, 6, 8, 12, 16}) {
+    ScsOptions options;
+    const std::vector<ViewFeatures> views = features_of(sequence, thesis_stereo(), options, stride);
+    double turn = 0, move = 0;
+    for (size_t i = 1; i < views.size(); ++i) {
+      const Pose step = sequence.truth[(i - 1) * stride].inverse() * sequence.truth[i * stride];
+      turn += rotation_angle(step) * 180 / M_PI, move += step.translation().norm() * 1000;
+    }
+    options.model = "image";
+    const std::vector<MotionEstimate> motions = motions_of(views, sequence.camera, options);
+    double usable = 0, initial = 0, consistent = 0, used = 0;
+    int least = 1 << 30;
+    for (const MotionEstimate& motion : motions) {
+      usable += motion.corners, initial += motion.initial, consistent += motion.consistent, used += motion.used;
+      least = std::min(least, motion.used);
+    }
+    const double n = static_cast<double>(motions.size());
+    std::vector<std::string> cells = {fmt::format("{:.1f}", sequence.rate / stride),
+                                      fmt::format("{}", views.size()),
+                                      fmt::format("{:.1f}° {:.0f} mm", turn / n, move / n),
+                                      fmt::format("{:.0f}", usable / n),
+                                      fmt::format("{:.0f}", initial / n),
+                                      fmt::format("{:.0f}", consistent / n),
+                                      fmt::format("{:.0f}", used / n),
+                                      fmt::format("{}", least)};
+    for (const char* model : {"ellipsoid", "drift", "image"}) {
+      options.model = model;
+      cells.push_back(text(closing_error(views, sequence.camera, options)));
+    }
+    print_row(cells);
+  }
+}
+
+void print_closed_sequences() {
+  fmt::print("\n### Table 5.1 and figure 5.7: error of closed sequences, 8 fps, with and without rejection\n\n");
+  print_heading(
+      {"sequence", "views", "path", "rejection", "spherical", "ellipsoid", "with drift compensation", "image based"});
+  const auto closed = [](const char* scene, const char* path) {
+    simulate::SimulateOptions options = thesis_camera();
+    options.path = path;
+    if (std::string(path) == "roam") options = arbitrary(options.rate);
+    return simulate_sequence(scene, options);
+  };
+  for (const auto& [scene, path] :
+       {std::pair("seminar-room", "circle"), std::pair("seminar-room", "roam"), std::pair("apartment", "circle"),
+        std::pair("boxes", "circle"), std::pair("yard", "circle")}) {
+    const Sequence sequence = closed(scene, path);
+    double length = 0;
+    for (size_t i = 1; i < sequence.truth.size(); ++i) {
+      length += (sequence.truth[i].translation() - sequence.truth[i - 1].translation()).norm();
+    }
+    ScsOptions options;
+    const std::vector<ViewFeatures> views = features_of(sequence, thesis_stereo(), options);
+    for (const bool reject : {false, true}) {
+      options.reject_suspicious = reject;
+      std::vector<std::string> cells = {sequence.name, fmt::format("{}", views.size()), fmt::format("{:.1f} m", length),
+                                        reject ? "with" : "without"};
+      for (const char* model : kModels) {
+        options.model = model;
+        cells.push_back(text(closing_error(views, sequence.camera, options)));
+      }
+      print_row(cells);
+    }
+  }
+}
+
+}  // namespace
+
+void print_motion_tables() {
+  fmt::print("\n## Chapter 5: camera motion\n");
+  print_closed_sequences();
+  print_frame_rates(simulate_sequence("seminar-room", arbitrary(25)));
+}
+
+}  // namespace iris::thesis

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # usage: scripts/demo.sh [SESSION]
 # Installs what is missing, builds IRIS, reconstructs the recording SESSION (a folder in a layout that `iris info SESSION`
-# knows: EuRoC, KITTI, pairs of images, …) into out/<name of SESSION> and says what to look at. Without SESSION: the
-# recording euroc_mh01 of the test data, if there is any (CMake's IRIS_TEST_DATA).
+# knows: EuRoC, KITTI, pairs of images, …) into out/<name of SESSION> and says what to look at. Without SESSION: a walk
+# through a made-up apartment is simulated, reconstructed, and compared with the truth.
 set -euo pipefail
 from=$PWD
 cd "$(dirname "$0")/.."
@@ -19,22 +19,24 @@ fi
 
 scripts/install-deps.sh
 cmake --preset release -DIRIS_BUILD_TESTS=OFF -DIRIS_BUILD_EXAMPLES=OFF
-if [ -z "$session" ]; then
-  session=$(sed -n 's/^IRIS_TEST_DATA:PATH=//p' build/release/CMakeCache.txt)/euroc_mh01
-  if [ ! -d "$session" ]; then
-    sed -n 2,5p "$0"
-    echo "demo: no SESSION given, and there is no $session" >&2
-    exit 2
-  fi
-  session=$(realpath "$session")
-fi
 cmake --build --preset release --target iris_app
+iris=build/release/iris
+truth=
+if [ -z "$session" ]; then
+  session=out/sessions/apartment
+  truth=$session
+  $iris simulate apartment -o $session --simulate.colour true
+fi
 
 out=out/$(basename "$session")
 status=0
-build/release/iris run "$session" -o "$out" || status=$?
+$iris run "$session" -o "$out" || status=$?
 # 4: finished, but the recording broke into pieces; everything that was reconstructed is there.
 [ $status -eq 0 ] || [ $status -eq 4 ] || exit $status
+
+if [ -n "$truth" ]; then
+  $iris evaluate "$out" --truth "$truth" -o "$out/evaluation"
+fi
 
 echo
 echo "Look at:"
@@ -46,4 +48,5 @@ look model/scene.glb "the 3-D scene, in any glTF viewer"
 look octree/map.bt "the octree, in octovis"
 look tour/tour.mp4 "the virtual tour"
 look trajectory/tum.txt "the path of the camera"
+look evaluation/trajectory_path.png "the path beside the true one; the errors of everything else beside it"
 exit $status

@@ -14,6 +14,7 @@
 #include "iris/core/options.h"
 #include "iris/core/progress.h"
 #include "iris/pipeline/pipeline.h"
+#include "iris/simulate/options.h"
 
 namespace iris::app {
 
@@ -35,7 +36,8 @@ class Arguments {
   void resolve(const std::filesystem::path& saved = {});
 
   exporters::RunOptions options;
-  OptionSet set;  // refers to `options`
+  simulate::SimulateOptions simulate;  // declared if "simulate" is among the sections: no part of a run
+  OptionSet set;                       // refers to the options above
 
   int threads() const;
   pipeline::RunControl control() const;
@@ -56,6 +58,7 @@ using Command = std::function<int()>;
 Command add_run(CLI::App& program);
 Command add_info(CLI::App& program);
 Command add_rectify(CLI::App& program);
+Command add_simulate(CLI::App& program);
 Command add_stereo(CLI::App& program);
 Command add_export(CLI::App& program);
 Command add_tour(CLI::App& program);

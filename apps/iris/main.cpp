@@ -35,6 +35,8 @@ int report_parse_error(const CLI::App& program, const CLI::ParseError& error) {
     exporters::RunOptions options;
     OptionSet set;
     options.declare(set);
+    simulate::SimulateOptions simulated;
+    simulated.declare(set);
     for (const CLI::App* command : program.get_subcommands()) {
       for (const std::string& extra : command->remaining()) {
         if (!extra.starts_with("--")) continue;
@@ -70,9 +72,9 @@ int run(int argc, char** argv) {
   program.set_version_flag("--version", "iris " IRIS_VERSION);
   program.require_subcommand(1);
   const std::vector<std::pair<std::string, Command>> commands = {
-      {"run", add_run(program)},           {"info", add_info(program)},     {"rectify", add_rectify(program)},
-      {"stereo", add_stereo(program)},     {"export", add_export(program)}, {"tour", add_tour(program)},
-      {"evaluate", add_evaluate(program)},
+      {"run", add_run(program)},           {"info", add_info(program)},         {"rectify", add_rectify(program)},
+      {"stereo", add_stereo(program)},     {"export", add_export(program)},     {"tour", add_tour(program)},
+      {"simulate", add_simulate(program)}, {"evaluate", add_evaluate(program)},
   };
   try {
     program.parse(argc, argv);

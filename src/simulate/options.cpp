@@ -11,8 +11,8 @@ namespace iris::simulate {
 void SimulateOptions::declare(OptionSet& set) {
   set.section("simulate");
   set.add("path", path, {},
-          "way of the camera: auto (the scene's first), circle, roam, round, corridor, static or around; a scene names "
-          "those it offers");
+          "way of the camera: auto (the scene's first), circle, circle-far, roam, round, corridor, static or around; a "
+          "scene names those it offers");
   set.add("frames", frames, "", 0, 1000000, "number of stereo frames; 0 = as many as the way takes at this speed");
   set.add("rate", rate, "1/s", 0.01, 1000,
           "frames a second; between few frames the view changes much, the thesis recorded 1.5 and more");

@@ -10,12 +10,13 @@
 namespace iris::simulate {
 
 struct SimulateOptions {
-  std::string path = "auto";  // auto | circle | roam | round | corridor | static | around (what a scene offers differs)
-  int frames = 0;             // 0 = as many as the path takes at this rate and speed
-  double rate = 5;            // [1/s] frames a second (thesis 5.4.3: 1.5 to 25)
-  double speed = 1;           // [m/s] of the camera
-  double jitter = 1;          // [times] shaking of the hand: 1 = 8 mm and 0.6 deg (standard deviation), 0 = none
-  int seed = 1;               // of scene, shaking and noise
+  std::string path =
+      "auto";  // auto | circle | circle-far | roam | round | corridor | static | around (what a scene offers differs)
+  int frames = 0;     // 0 = as many as the path takes at this rate and speed
+  double rate = 5;    // [1/s] frames a second (thesis 5.4.3: 1.5 to 25)
+  double speed = 1;   // [m/s] of the camera
+  double jitter = 1;  // [times] shaking of the hand: 1 = 8 mm and 0.6 deg (standard deviation), 0 = none
+  int seed = 1;       // of scene, shaking and noise
 
   int width = 752;            // [px]
   int height = 480;           // [px]

@@ -1,0 +1,58 @@
+// iris simulate SCENE -o SESSION: a recording with known truth.
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <memory>
+
+#include "apps/iris/command.h"
+#include "export/mesh_file.h"
+#include "export/session_file.h"
+#include "iris/core/error.h"
+#include "iris/core/parallel.h"
+#include "iris/simulate/scene.h"
+
+namespace iris::app {
+namespace {
+
+struct Simulate {
+  explicit Simulate(CLI::App& command) : arguments(command, {"simulate", "mapping"}) {}
+  std::string scene, out;
+  Arguments arguments;
+};
+
+int run(Simulate& state) {
+  state.arguments.resolve();
+  const simulate::SimulateOptions& options = state.arguments.simulate;
+  const simulate::Scene scene = std::filesystem::exists(state.scene)
+                                    ? simulate::scene_from_meshes(exporters::read_meshes(state.scene), state.scene)
+                                    : simulate::make_scene(state.scene, options.seed);
+  const simulate::SimulatedPath path = simulate::make_path(scene, options);
+  spdlog::info("{}: path '{}', {:.1f} m in {:.1f} s", scene.name, path.name, path.length, path.seconds);
+  with_threads(state.arguments.threads(), [&] {
+    exporters::write_session(state.out, scene, options, state.arguments.options.library.mapping,
+                             fmt::format("# iris simulate {} (version {})\n", state.scene, IRIS_VERSION) +
+                                 state.arguments.set.to_toml({"simulate", "mapping"}),
+                             state.arguments.control());
+  });
+  spdlog::info("{0}: reconstruct it with 'iris run {0} -o OUT', then compare with 'iris evaluate OUT --truth {0}'",
+               state.out);
+  return kGood;
+}
+
+}  // namespace
+
+Command add_simulate(CLI::App& program) {
+  CLI::App* command = program.add_subcommand(
+      "simulate", "Renders a recorded session of a made-up place, with the truth beside it (SESSION/truth).");
+  auto state = std::make_shared<Simulate>(*command);
+  command
+      ->add_option("SCENE", state->scene,
+                   fmt::format("{}; or a mesh file (OBJ, PLY, glTF, …)", fmt::join(simulate::scene_names(), ", ")))
+      ->required();
+  command->add_option("-o,--output", state->out, "Session to write, in the layout of EuRoC")
+      ->type_name("SESSION")
+      ->required();
+  return [state] { return run(*state); };
+}
+
+}  // namespace iris::app

@@ -64,8 +64,7 @@ simulate::SimulateOptions arbitrary(double rate) {
   simulate::SimulateOptions options = thesis_camera();
   options.path = "roam";
   options.rate = rate;
-  options.speed = 0.2;  // 143 mm between views at 1.5 fps, turning by 13 degrees (5.4.1)
-  options.frames = static_cast<int>(30 * rate);
+  options.speed = 0.2;  // about the motion between views of the thesis's sequence (5.4.1)
   return options;
 }
 

@@ -46,8 +46,10 @@ void print_view_tables() {
                      .world_from_cam = sequence.truth[third]};
   cv::Mat3b truth;
   cv::cvtColor(sequence.pairs[third].left, truth, cv::COLOR_GRAY2BGR);
+  cv::Mat pictures = truth.clone();
   fmt::print("\n## Chapter 7: a view predicted from others 34° away (figure 7.7), true poses\n\n");
-  print_heading({"figure", "from", "disparities", "fusion", "coverage", "PSNR of what is covered", "SSIM"});
+  print_heading({"figure", "from", "disparities", "fusion", "coverage", "PSNR of what is covered", "SSIM of it",
+                 "PSNR with holes black"});
   const auto predict = [&](const char* figure, const char* from, const std::vector<size_t>& sources,
                            const stereo::MwmfOptions& stereo, const char* name, const char* fusion) {
     render::DsnvOptions dsnv;
@@ -58,13 +60,14 @@ void print_view_tables() {
     const NovelView view = render::render_novel_view(camera, source_views, dsnv);
     const evaluate::ImageErrors errors = evaluate::compare_images(view.image, truth, view.source >= 0);
     print_row({figure, from, name, fusion, fmt::format("{:.1f} %", errors.coverage),
-               fmt::format("{:.2f} dB", errors.psnr), fmt::format("{:.3f}", errors.ssim)});
-    cv::imwrite(fmt::format("view_{}.png", figure), view.image);
+               fmt::format("{:.2f} dB", errors.psnr), fmt::format("{:.3f}", errors.ssim),
+               fmt::format("{:.2f} dB", evaluate::compare_images(view.image, truth, {}).psnr)});
+    cv::hconcat(pictures, view.image, pictures);
   };
-  cv::imwrite("view_truth.png", truth);
   predict("7.7h", "view 1", {first}, mwmf, "MWMF", "nearest");
   predict("7.7i", "views 1 and 2", {first, second}, mwmf, "MWMF", "nearest");
   predict("7.7k", "view 1", {first}, plain, "LoG/SAD", "nearest");
+  cv::imwrite("predicted_view.png", pictures);
   predict("-", "views 1 and 2", {first, second}, mwmf, "MWMF", "agreement");
 }
 

@@ -3,45 +3,16 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <opencv2/imgproc.hpp>
-#include <opencv2/video/tracking.hpp>
+
+#include "iris/motion/track.h"
 
 namespace iris::motion {
 namespace {
-
-constexpr double kMaxMoved = kPatchSize / 2;  // [px] beyond this it is the surroundings of something else
 
 int difference(const RankPatch& a, const RankPatch& b) {
   int sum = 0;
   for (size_t i = 0; i < a.size(); ++i) sum += std::abs(a[i] - b[i]);
   return sum;
-}
-
-// Position in the image turned by `turns` quarter turns clockwise.
-cv::Point2f to_turned(double x, double y, int turns, const cv::Size& size) {
-  switch (turns) {
-    case 1:
-      return cv::Point2d(size.height - 1 - y, x);
-    case 2:
-      return cv::Point2d(size.width - 1 - x, size.height - 1 - y);
-    case 3:
-      return cv::Point2d(y, size.width - 1 - x);
-    default:
-      return cv::Point2d(x, y);
-  }
-}
-
-cv::Point2d from_turned(const cv::Point2f& p, int turns, const cv::Size& size) {
-  switch (turns) {
-    case 1:
-      return cv::Point2d(p.y, size.height - 1.0 - p.x);
-    case 2:
-      return cv::Point2d(size.width - 1.0 - p.x, size.height - 1.0 - p.y);
-    case 3:
-      return cv::Point2d(size.width - 1.0 - p.y, p.x);
-    default:
-      return p;
-  }
 }
 
 }  // namespace
@@ -83,36 +54,46 @@ std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>
                                            const ViewFeatures& cur, int turns, const RectifiedCamera& camera,
                                            const ScsOptions& options) {
   std::vector<Correspondence> result;
-  if (matches.empty()) return result;
-  const cv::Size size = cur.image.size();
-  cv::Mat prev_image = prev.image, cur_image = cur.image;
-  if (turns > 0) {
-    cur_image = cv::Mat();                        // its own memory: `cur` stays as it is
-    cv::rotate(cur.image, cur_image, turns - 1);  // ROTATE_90_CLOCKWISE, 180, 90_COUNTERCLOCKWISE
-    // Lucas-Kanade wants images of one size; what is added lies to the right and below.
-    const int side = std::max({prev_image.cols, prev_image.rows, size.width, size.height});
-    for (cv::Mat* image : {&prev_image, &cur_image}) {
-      cv::copyMakeBorder(*image, *image, 0, side - image->rows, 0, side - image->cols, cv::BORDER_REPLICATE);
-    }
-  }
-  std::vector<cv::Point2f> from, to, start;
+  Eigen::Matrix2d quarter;  // clockwise: x right, y down
+  quarter << 0, -1, 1, 0;
+  Eigen::Matrix2d cur_from_prev = Eigen::Matrix2d::Identity();  // the current view is turned clockwise to match
+  for (int turn = 0; turn < turns; ++turn) cur_from_prev = quarter.transpose() * cur_from_prev;
   for (const auto& [i, j] : matches) {
-    from.emplace_back(static_cast<float>(prev.corners[i].x), static_cast<float>(prev.corners[i].y));
-    start.push_back(to_turned(cur.corners[j].x, cur.corners[j].y, turns, size));
-  }
-  to = start;
-  std::vector<uint8_t> found;
-  const cv::TermCriteria stop(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 20, 0.005);
-  cv::calcOpticalFlowPyrLK(prev_image, cur_image, from, to, found, cv::noArray(), cv::Size(15, 15), 0, stop,
-                           cv::OPTFLOW_USE_INITIAL_FLOW);
-  for (size_t k = 0; k < matches.size(); ++k) {
-    const double moved = cv::norm(to[k] - start[k]);
-    if (!found[k] || !(moved <= kMaxMoved)) continue;
-    const cv::Point2d at = from_turned(to[k], turns, size);
-    const double disparity = usable_disparity(cur.disparity, at.x, at.y, camera, options);
+    const Corner &from = prev.corners[i], &start = cur.corners[j];
+    const Eigen::Vector2d at(start.x, start.y);
+    const PatchTrack track = track_patch(prev.image, {from.x, from.y}, cur.image, at, cur_from_prev);
+    if (!track.found) continue;
+    const double disparity = usable_disparity(cur.disparity, track.position.x(), track.position.y(), camera, options);
     if (disparity == 0) continue;
-    result.push_back({matches[k].first, matches[k].second, prev.corners[matches[k].first].point_in_cam,
-                      camera.point(at.x, at.y, disparity), moved});
+    result.push_back({i, j, from.point_in_cam, camera.point(track.position.x(), track.position.y(), disparity),
+                      (track.position - at).norm()});
+  }
+  return result;
+}
+
+std::vector<Correspondence> predicted_matches(const ViewFeatures& prev, const ViewFeatures& cur,
+                                              const Pose& prev_from_cur, const RectifiedCamera& camera,
+                                              const ScsOptions& options) {
+  const Pose cur_from_prev = prev_from_cur.inverse();
+  std::vector<Correspondence> result;
+  for (int i = 0; i < static_cast<int>(prev.corners.size()); ++i) {
+    const Corner& corner = prev.corners[i];
+    const Eigen::Vector3d q = cur_from_prev * corner.point_in_cam;
+    if (!(q.z() > 0)) continue;
+    const Eigen::Vector3d expected = camera.project(q);
+    const Eigen::Vector2d predicted = expected.head<2>();
+    // The surroundings as a piece of a plane that faces the camera.
+    Eigen::Matrix<double, 2, 3> projection;
+    projection << 1, 0, -q.x() / q.z(), 0, 1, -q.y() / q.z();
+    const Eigen::Matrix2d warp = projection * cur_from_prev.linear().leftCols<2>() * (corner.point_in_cam.z() / q.z());
+    const PatchTrack track = track_patch(prev.image, {corner.x, corner.y}, cur.image, predicted, warp);
+    if (!track.found || track.similarity < options.min_similarity) continue;
+    const double moved = (track.position - predicted).norm();
+    if (moved > options.max_refinement) continue;
+    const double disparity = usable_disparity(cur.disparity, track.position.x(), track.position.y(), camera, options);
+    if (disparity == 0 || std::abs(disparity - expected.z()) > options.max_refinement) continue;
+    result.push_back(
+        {i, -1, corner.point_in_cam, camera.point(track.position.x(), track.position.y(), disparity), moved});
   }
   return result;
 }

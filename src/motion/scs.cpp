@@ -1,6 +1,8 @@
 #include "iris/motion/scs.h"
 
+#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -31,16 +33,22 @@ std::optional<Pose> spherical_guess(const std::vector<PointPair>& pairs, const R
   return spherical_motion(prev, cur, weights);
 }
 
-std::vector<PointPair> without_suspicious(const std::vector<PointPair>& pairs, const Pose& motion,
-                                          const RectifiedCamera& camera, double pixel_error) {
+std::vector<PointPair> points_of(const std::vector<Correspondence>& correspondences) {
+  std::vector<PointPair> pairs;
+  for (const Correspondence& c : correspondences) pairs.emplace_back(c.prev_point, c.cur_point);
+  return pairs;
+}
+
+std::vector<Correspondence> without_suspicious(const std::vector<Correspondence>& correspondences, const Pose& motion,
+                                               const RectifiedCamera& camera, double pixel_error) {
   std::vector<double> errors;
-  for (const auto& [p, q] : pairs) {
-    errors.push_back(std::sqrt(reconstruct::ellipsoid_error(camera, p, q, motion, pixel_error)));
+  for (const Correspondence& c : correspondences) {
+    errors.push_back(std::sqrt(reconstruct::ellipsoid_error(camera, c.prev_point, c.cur_point, motion, pixel_error)));
   }
   const std::vector<bool> keep = chauvenet(errors);
-  std::vector<PointPair> kept;
-  for (size_t i = 0; i < pairs.size(); ++i)
-    if (keep[i]) kept.push_back(pairs[i]);
+  std::vector<Correspondence> kept;
+  for (size_t i = 0; i < correspondences.size(); ++i)
+    if (keep[i]) kept.push_back(correspondences[i]);
   return kept;
 }
 
@@ -87,62 +95,106 @@ double image_rms(const RectifiedCamera& camera, const std::vector<PointPair>& pa
   return std::sqrt(sum / (8 * static_cast<double>(pairs.size())));
 }
 
-// The motion that most of the correspondences agree on.
-MotionEstimate estimate_from(const std::vector<Correspondence>& initial, int turns, const RectifiedCamera& camera,
-                             const ScsOptions& options) {
-  MotionEstimate estimate;
-  estimate.initial = static_cast<int>(initial.size());
+// Whether the places of the points let them tell the motion. The scatter of points that lie on a line or close together
+// is mostly their own noise, which the minimisation takes for structure: what that noise contributes to the information
+// about the rotation is subtracted here, doubled because the scatter of few points is itself a matter of chance.
+bool well_determined(const Pose& motion, const std::vector<Correspondence>& used, const RectifiedCamera& camera,
+                     const ScsOptions& options) {
+  std::vector<double> depths;
+  Matrix6d information = Matrix6d::Zero();
+  const Eigen::Matrix3d& r = motion.linear();
+  for (const Correspondence& c : used) {
+    depths.push_back(c.prev_point.z());
+    const Eigen::Matrix3d of_prev = reconstruct::point_covariance(camera, c.prev_point, options.pixel_error);
+    const Eigen::Matrix3d of_cur =
+        r * reconstruct::point_covariance(camera, c.cur_point, options.pixel_error) * r.transpose();
+    const Eigen::Matrix3d weight = (of_prev + of_cur).inverse();
+    Eigen::Matrix<double, 3, 6> jacobian;
+    jacobian << Eigen::Matrix3d::Identity(), -cross_matrix(r * c.cur_point);
+    information += jacobian.transpose() * weight * jacobian;
+    const Eigen::Matrix3d l = of_cur.llt().matrixL();  // the noise of the point is a sum over its columns
+    for (int k = 0; k < 3; ++k) {
+      const Eigen::Matrix3d x = cross_matrix(l.col(k));
+      information.bottomRightCorner<3, 3>() -= 2 * x.transpose() * weight * x;
+    }
+  }
+  const Eigen::LLT<Matrix6d> solver(information);
+  if (solver.info() != Eigen::Success) return false;
+  const Matrix6d covariance = solver.solve(Matrix6d::Identity());
+  const auto middle = depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
+  std::nth_element(depths.begin(), middle, depths.end());
+  const auto largest_error = [](const Eigen::Matrix3d& of) {
+    return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(of, Eigen::EigenvaluesOnly).eigenvalues()(2));
+  };
+  return largest_error(covariance.topLeftCorner<3, 3>()) <= options.max_translation_error * *middle &&
+         largest_error(covariance.bottomRightCorner<3, 3>()) <= options.max_rotation_error * kRadians;
+}
 
-  // Those that are consistent with each other (5.3.3).
-  const BitMatrix matrix = consistency_matrix(camera, initial, options.pixel_error, options.max_turn * kRadians, turns);
-  std::vector<PointPair> pairs;
-  for (const int i : consistent_set(matrix)) pairs.emplace_back(initial[i].prev_point, initial[i].cur_point);
-  estimate.consistent = static_cast<int>(pairs.size());
-  estimate.status = MotionStatus::too_few_consistent;
-  if (estimate.consistent < options.min_used) return estimate;
-
-  // First guess, rejection of what does not fit it, minimisation (5.3.4). The guess is rough, so that the minimised
-  // motion shows further suspicious ones: repeated until it shows none.
-  std::optional<Pose> motion = spherical_guess(pairs, camera, options.pixel_error);
+// Rejection of correspondences that do not fit the guess, minimisation (5.3.4). The guess is rough, so that the
+// minimised motion shows further suspicious ones: repeated until it shows none.
+void refine(TracedMotion& motion, std::vector<Correspondence> correspondences, const Pose& guess,
+            const RectifiedCamera& camera, const ScsOptions& options) {
+  MotionEstimate& estimate = motion.estimate;
+  Pose at = guess;
   MinimisedMotion minimised;
   for (bool suspicious = true; suspicious;) {
-    estimate.status = MotionStatus::degenerate;
-    if (!motion) return estimate;
-    const size_t before = pairs.size();
-    if (options.reject_suspicious) pairs = without_suspicious(pairs, *motion, camera, options.pixel_error);
-    suspicious = pairs.size() != before || !minimised.converged;
-    estimate.used = static_cast<int>(pairs.size());
+    const size_t before = correspondences.size();
+    if (options.reject_suspicious)
+      correspondences = without_suspicious(correspondences, at, camera, options.pixel_error);
+    suspicious = correspondences.size() != before || !minimised.converged;
+    estimate.used = static_cast<int>(correspondences.size());
     estimate.status = MotionStatus::too_few_consistent;
-    if (estimate.used < options.min_used) return estimate;
-    if (suspicious) minimised = minimise(camera, pairs, options, *motion);
-    motion.reset();
-    if (minimised.converged) motion = minimised.prev_from_cur;
+    if (estimate.used < options.min_used) return;
+    if (suspicious) minimised = minimise(camera, points_of(correspondences), options, at);
+    estimate.status = MotionStatus::degenerate;
+    if (!minimised.converged) return;
+    at = minimised.prev_from_cur;
   }
-  estimate.prev_from_cur = *motion;
+  estimate.rms_px = image_rms(camera, points_of(correspondences), at);
+  if (estimate.rms_px > options.max_rms_px) {
+    estimate.status = MotionStatus::too_few_consistent;
+    return;
+  }
+  if (!well_determined(at, correspondences, camera, options)) return;
+  estimate.prev_from_cur = at;
   estimate.covariance = minimised.covariance;
-  estimate.rms_px = image_rms(camera, pairs, *motion);
-  if (estimate.rms_px > options.max_rms_px) return estimate;
-  estimate.status = MotionStatus::degenerate;
-  const Eigen::Matrix3d rotation_covariance = minimised.covariance.bottomRightCorner<3, 3>();
-  const double largest =
-      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(rotation_covariance, Eigen::EigenvaluesOnly).eigenvalues()(2);
-  if (largest <= std::pow(options.max_rotation_error * kRadians, 2)) estimate.status = MotionStatus::ok;
-  return estimate;
+  estimate.status = MotionStatus::ok;
+  motion.used = std::move(correspondences);
+}
+
+// Whether a second set of correspondences contradicts the motion that a set of `consistent` supports (fig. 5.9).
+bool is_ambiguous(const TracedMotion& motion, int turns, const RectifiedCamera& camera, const ScsOptions& options) {
+  constexpr double kSame = 3;  // [px] what the motion explains so well may well belong to it
+  const Pose cur_from_prev = motion.estimate.prev_from_cur.inverse();
+  std::vector<Correspondence> others;
+  for (const Correspondence& c : motion.initial) {
+    const Eigen::Vector3d predicted = cur_from_prev * c.prev_point;
+    if (predicted.z() > 0 && (camera.project(predicted) - camera.project(c.cur_point)).norm() <= kSame) continue;
+    others.push_back(c);
+  }
+  const auto least = std::max<size_t>(static_cast<size_t>(options.min_used),
+                                      static_cast<size_t>(options.ambiguity * motion.estimate.consistent));
+  if (others.size() < least) return false;
+  const BitMatrix matrix = consistency_matrix(camera, others, options.pixel_error, options.max_turn * kRadians, turns);
+  return consistent_set(matrix).size() >= least;
 }
 
 // With the current view turned by a number of quarter turns.
-MotionEstimate estimate_turned(const ViewFeatures& prev, const ViewFeatures& cur, int turns,
-                               const RectifiedCamera& camera, const ScsOptions& options) {
+TracedMotion trace_turned(const ViewFeatures& prev, const ViewFeatures& cur, int turns, const RectifiedCamera& camera,
+                          const ScsOptions& options) {
   // Initial correspondences (5.3.2). The well placed ones alone are more accurate; blur and large motion need all.
-  const auto matches = match_corners(prev, cur, turns);
-  const auto all = refine_matches(matches, prev, cur, turns, camera, options);
+  const auto all = refine_matches(match_corners(prev, cur, turns), prev, cur, turns, camera, options);
   std::vector<Correspondence> well_placed;
   for (const Correspondence& c : all)
     if (c.moved <= options.max_refinement) well_placed.push_back(c);
-  const MotionEstimate estimate = estimate_from(well_placed, turns, camera, options);
-  if (estimate.status == MotionStatus::ok || well_placed.size() == all.size()) return estimate;
-  const MotionEstimate with_all = estimate_from(all, turns, camera, options);
-  return with_all.status == MotionStatus::ok ? with_all : estimate;
+  TracedMotion motion = motion_from(well_placed, turns, camera, options);
+  if (motion.estimate.status != MotionStatus::ok && well_placed.size() < all.size()) {
+    TracedMotion with_all = motion_from(all, turns, camera, options);
+    if (with_all.estimate.status == MotionStatus::ok) motion = std::move(with_all);
+  }
+  return motion.estimate.status == MotionStatus::ok && options.predict
+             ? with_predicted(motion, prev, cur, camera, options)
+             : motion;
 }
 
 }  // namespace
@@ -151,8 +203,8 @@ void ScsOptions::declare(OptionSet& set) {
   set.section("motion");
   set.add(
       "model", model, {"spherical", "ellipsoid", "drift", "image"},
-      "error model of the camera motion: spherical is rough, ellipsoid good and fast, drift corrects its bias, image "
-      "minimises reprojection errors (thesis 4.4)");
+      "error model of the camera motion: spherical is rough, ellipsoid good, drift corrects its bias, image minimises "
+      "reprojection errors (thesis 4.4)");
   set.add("pixel_error", pixel_error, "px", 0.01, 5,
           "standard deviation of image coordinates; all error bounds of points and distances follow from it (4.4)");
   set.add("max_corners", max_corners, "", 20, 4000, "most corners a view (5.3.1)");
@@ -167,7 +219,14 @@ void ScsOptions::declare(OptionSet& set) {
       "a match whose position moves further than this when it is refined is only used if the others do not suffice");
   set.add("quarter_turns", quarter_turns,
           "when no motion is found, also try the view turned by 90, 180 and 270 degrees about its axis");
+  set.add("predict", predict,
+          "when a motion is found, look for all corners again where it predicts them, and minimise over these");
+  set.add("min_similarity", min_similarity, "", -1, 1,
+          "least correlation coefficient of the surroundings of a corner that was found by prediction");
   set.add("max_turn", max_turn, "deg", 1, 180, "largest rotation between two views, theta (5.3)");
+  set.add("ambiguity", ambiguity, "", 0.1, 2,
+          "a second consistent set that is at least this part as large as the first and moves otherwise makes a motion "
+          "ambiguous: repetitive texture, or something large that moves (fig. 5.9)");
   set.add("min_used", min_used, "", 4, 1000, "fewer correspondences than this are a failure");
   set.add("reject_suspicious", reject_suspicious,
           "drop correspondences that fit a first estimate too badly to belong to the others (Chauvenet, 5.4)");
@@ -175,24 +234,70 @@ void ScsOptions::declare(OptionSet& set) {
   set.add("max_rms_px", max_rms_px, "px", 0.01, 100, "a motion that leaves larger image errors than this is rejected");
   set.add("max_rotation_error", max_rotation_error, "deg", 0.001, 180,
           "a motion whose rotation is less certain than this (one standard deviation) is rejected");
+  set.add("max_translation_error", max_translation_error, "", 0.0001, 10,
+          "a motion whose translation is less certain than this part of the points' median depth (one standard "
+          "deviation) is rejected");
   set.add("retry_views", retry_views, "", 0, 100, "earlier views that a failed estimate is retried against");
+  set.add("rescue", rescue,
+          "when all of these fail, try them again with many more corners and with SIFT; slow, but on failures only");
+  set.add("guess", guess,
+          "when that fails too, continue the last motion, marked as guessed, instead of beginning a sub-map");
+}
+
+TracedMotion motion_from(const std::vector<Correspondence>& initial, int turns, const RectifiedCamera& camera,
+                         const ScsOptions& options) {
+  TracedMotion motion;
+  motion.initial = initial;
+  motion.estimate.initial = static_cast<int>(initial.size());
+  motion.estimate.status = MotionStatus::too_few_consistent;
+
+  // Those that are consistent with each other (5.3.3).
+  const BitMatrix matrix = consistency_matrix(camera, initial, options.pixel_error, options.max_turn * kRadians, turns);
+  for (const int i : consistent_set(matrix)) motion.consistent.push_back(initial[i]);
+  motion.estimate.consistent = static_cast<int>(motion.consistent.size());
+  if (motion.estimate.consistent < options.min_used) return motion;
+
+  // First guess, rejection of what does not fit it, minimisation (5.3.4).
+  motion.estimate.status = MotionStatus::degenerate;
+  const std::optional<Pose> guess = spherical_guess(points_of(motion.consistent), camera, options.pixel_error);
+  if (!guess) return motion;
+  refine(motion, motion.consistent, *guess, camera, options);
+  if (motion.estimate.status == MotionStatus::ok && is_ambiguous(motion, turns, camera, options)) {
+    motion.estimate = {.status = MotionStatus::ambiguous,
+                       .initial = motion.estimate.initial,
+                       .consistent = motion.estimate.consistent};
+    motion.used.clear();
+  }
+  return motion;
+}
+
+TracedMotion with_predicted(const TracedMotion& motion, const ViewFeatures& prev, const ViewFeatures& cur,
+                            const RectifiedCamera& camera, const ScsOptions& options) {
+  const Pose& guess = motion.estimate.prev_from_cur;
+  TracedMotion next = motion;
+  refine(next, predicted_matches(prev, cur, guess, camera, options), guess, camera, options);
+  return next.estimate.status == MotionStatus::ok && next.estimate.used >= motion.estimate.used ? next : motion;
+}
+
+TracedMotion trace_motion(const ViewFeatures& prev, const ViewFeatures& cur, const RectifiedCamera& camera,
+                          const ScsOptions& options) {
+  TracedMotion result;
+  if (static_cast<int>(std::min(prev.corners.size(), cur.corners.size())) >= options.min_used) {
+    result = trace_turned(prev, cur, 0, camera, options);
+    for (const int turns : {1, 3, 2}) {
+      const MotionStatus status = result.estimate.status;
+      if (status == MotionStatus::ok || status == MotionStatus::ambiguous || !options.quarter_turns) break;
+      TracedMotion turned = trace_turned(prev, cur, turns, camera, options);
+      if (turned.estimate.status == MotionStatus::ok) result = std::move(turned);
+    }
+  }
+  result.estimate.corners = static_cast<int>(cur.corners.size());
+  return result;
 }
 
 MotionEstimate estimate_motion(const ViewFeatures& prev, const ViewFeatures& cur, const RectifiedCamera& camera,
                                const ScsOptions& options) {
-  MotionEstimate result;
-  if (static_cast<int>(std::min(prev.corners.size(), cur.corners.size())) < options.min_used) {
-    result.status = MotionStatus::too_few_corners;
-  } else {
-    result = estimate_turned(prev, cur, 0, camera, options);
-    for (const int turns : {1, 3, 2}) {
-      if (result.status == MotionStatus::ok || !options.quarter_turns) break;
-      const MotionEstimate turned = estimate_turned(prev, cur, turns, camera, options);
-      if (turned.status == MotionStatus::ok) result = turned;
-    }
-  }
-  result.corners = static_cast<int>(cur.corners.size());
-  return result;
+  return trace_motion(prev, cur, camera, options).estimate;
 }
 
 }  // namespace iris::motion

@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Cholesky>
+#include <algorithm>
+#include <array>
 #include <random>
 
 #include "support/numeric.h"
@@ -76,6 +78,109 @@ TEST_P(Minimise, RecoversAMotionExactlyFromAPoorGuess) {
   const MinimisedMotion result = minimise_motion(kCamera, pairs, GetParam(), 0.1, 3, Pose::Identity());
   EXPECT_TRUE(result.converged);
   EXPECT_LT((result.prev_from_cur.matrix() - some_motion().matrix()).norm(), 1e-7);
+}
+
+// The least squared image error of a pair over the position of its point (4.8), by Nelder and Mead's simplex on nothing
+// but projections, started again until it rests: the inner loop of the thesis.
+double nested_image_error(const PointPair& pair, const Pose& prev_from_cur, double pixel_error) {
+  const auto pixels = [](const Eigen::Vector3d& p) {
+    const double s = kCamera.f / p.z();
+    return Eigen::Vector4d(s * p.x(), s * p.y(), s * (p.x() - kCamera.baseline), s * p.y());
+  };
+  const Eigen::Vector4d seen_prev = pixels(pair.first), seen_cur = pixels(pair.second);
+  const auto error = [&](const Eigen::Vector3d& v) {
+    return ((pixels(prev_from_cur * v) - seen_prev).squaredNorm() + (pixels(v) - seen_cur).squaredNorm()) /
+           (pixel_error * pixel_error);
+  };
+  Eigen::Vector3d best = pair.second;
+  double step = 0.01;
+  for (int restart = 0; restart < 6; ++restart, step /= 20) {
+    std::vector<std::pair<double, Eigen::Vector3d>> simplex{{error(best), best}};
+    for (int axis = 0; axis < 3; ++axis) {
+      const Eigen::Vector3d corner = best + step * (axis == 2 ? 3 : 1) * Eigen::Vector3d::Unit(axis);
+      simplex.emplace_back(error(corner), corner);
+    }
+    const auto order = [&] {
+      std::sort(simplex.begin(), simplex.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+    };
+    for (int iteration = 0; iteration < 120; ++iteration) {
+      order();
+      const Eigen::Vector3d centre = (simplex[0].second + simplex[1].second + simplex[2].second) / 3;
+      const auto along = [&](double s) {
+        const Eigen::Vector3d at = centre + s * (simplex[3].second - centre);
+        return std::pair(error(at), at);
+      };
+      auto next = along(-1);
+      if (next.first < simplex[0].first)
+        next = std::min(next, along(-2), [](auto& a, auto& b) { return a.first < b.first; });
+      if (next.first >= simplex[2].first) next = along(0.5);
+      if (next.first < simplex[3].first) {
+        simplex[3] = next;
+      } else {
+        for (int i = 1; i < 4; ++i) {
+          simplex[i].second = (simplex[i].second + simplex[0].second) / 2;
+          simplex[i].first = error(simplex[i].second);
+        }
+      }
+    }
+    order();
+    best = simplex[0].second;
+  }
+  return error(best);
+}
+
+TEST(MinimiseImage, EqualsTheNestedMinimisationOfTheThesis) {
+  // The outer loop: Newton's method on nothing but values of the nested sum, with differences of 1e-4 of a parabola
+  // that is exact to 1e-4 of the step.
+  std::mt19937_64 random(12);
+  const auto pairs = simulated(12, some_motion(), 0.1, random);
+  const MinimisedMotion joint = minimise_motion(kCamera, pairs, ErrorModel::image, 0.1, 0, Pose::Identity());
+  ASSERT_TRUE(joint.converged);
+  const auto nested = [&](const Pose& motion) {
+    double sum = 0;
+    for (const PointPair& pair : pairs) sum += nested_image_error(pair, motion, 0.1);
+    return sum;
+  };
+  const auto joint_value = motion_cost(kCamera, pairs, ErrorModel::image, 0.1, 0, joint.prev_from_cur).value;
+  EXPECT_NEAR(nested(joint.prev_from_cur), joint_value, 1e-9 * joint_value);
+  Pose at = joint.prev_from_cur;
+  // A start elsewhere, in units of the expected errors.
+  const Eigen::LLT<Matrix6d> sigma(joint.covariance);
+  const auto moved = [&](const Pose& pose, const Vector6d& u) { return perturbed(pose, sigma.matrixL() * u); };
+  at = moved(at, (Vector6d() << 0.5, -0.4, 0.3, 0.2, -0.5, 0.4).finished());
+  const double h = 0.05;
+  for (int iteration = 0; iteration < 5; ++iteration) {
+    const double centre = nested(at);
+    Vector6d gradient;
+    Matrix6d hessian;
+    std::array<double, 6> up, down;
+    for (int i = 0; i < 6; ++i) {
+      up[i] = nested(moved(at, h * Vector6d::Unit(i)));
+      down[i] = nested(moved(at, -h * Vector6d::Unit(i)));
+      gradient(i) = (up[i] - down[i]) / (2 * h);
+      hessian(i, i) = (up[i] + down[i] - 2 * centre) / (h * h);
+    }
+    for (int i = 0; i < 6; ++i) {
+      for (int k = 0; k < i; ++k) {
+        const double both = nested(moved(at, h * (Vector6d::Unit(i) + Vector6d::Unit(k))));
+        hessian(i, k) = hessian(k, i) = (both - up[i] - up[k] + centre) / (h * h);
+      }
+    }
+    at = moved(at, -hessian.llt().solve(gradient));
+  }
+  EXPECT_NEAR(nested(at), joint_value, 1e-9 * joint_value);
+  EXPECT_GE(nested(at), joint_value * (1 - 1e-9));
+}
+
+TEST(MinimiseImage, NoMotionNearbyIsBetterAlsoWithHubersBound) {
+  std::mt19937_64 random(13);
+  auto pairs = simulated(40, some_motion(), 0.1, random);
+  for (int i = 0; i < 6; ++i) pairs[i].first.x() += 0.02 * (i + 1);  // beyond the bound
+  const MinimisedMotion joint = minimise_motion(kCamera, pairs, ErrorModel::image, 0.1, 3, some_motion());
+  ASSERT_TRUE(joint.converged);
+  const MotionCost cost = motion_cost(kCamera, pairs, ErrorModel::image, 0.1, 3, joint.prev_from_cur);
+  // The expected decrease by a full step in units of the statistical error.
+  EXPECT_LT(cost.gradient.dot(cost.hessian.llt().solve(cost.gradient)), 1e-9);
 }
 
 TEST_P(Minimise, CovarianceDescribesTheErrors) {

@@ -3,13 +3,14 @@
 
 #include <vector>
 
+#include "iris/geometry/pose.h"
 #include "iris/motion/features.h"
 
 namespace iris::motion {
 
 // Two reconstructions of what is probably one point.
 struct Correspondence {
-  int prev_corner = 0, cur_corner = 0;                   // indices of the corners
+  int prev_corner = 0, cur_corner = 0;                   // indices of the corners; -1: not a corner
   Eigen::Vector3d prev_point = Eigen::Vector3d::Zero();  // [m] in the previous camera
   Eigen::Vector3d cur_point = Eigen::Vector3d::Zero();   // [m] in the current camera
   double moved = 0;                                      // [px] by how much the current position was refined
@@ -20,11 +21,18 @@ struct Correspondence {
 // view are turned by `turns` quarter turns clockwise first. Ordered by the previous corner's index.
 std::vector<std::pair<int, int>> match_corners(const ViewFeatures& prev, const ViewFeatures& cur, int turns = 0);
 
-// Moves the current position of each match onto the surroundings of the previous corner (Lucas-Kanade) and takes its
+// Moves the current position of each match onto the surroundings of the previous corner (track_patch) and takes its
 // disparity anew. Matches that move by more than half a patch or lose their disparity are dropped.
 std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>>& matches, const ViewFeatures& prev,
                                            const ViewFeatures& cur, int turns, const RectifiedCamera& camera,
                                            const ScsOptions& options);
+
+// Looks for every corner of the previous view where a motion predicts it in the current one, its surroundings turned
+// and scaled accordingly; whether there is a corner too does not matter. Dropped are those that are not found within
+// options.max_refinement of the predicted position and disparity, or that look different (options.min_similarity).
+std::vector<Correspondence> predicted_matches(const ViewFeatures& prev, const ViewFeatures& cur,
+                                              const Pose& prev_from_cur, const RectifiedCamera& camera,
+                                              const ScsOptions& options);
 
 // The patch of the image turned by a quarter turn clockwise.
 RankPatch turned(const RankPatch& patch);

@@ -46,4 +46,7 @@ MinimisedMotion minimise_motion(const RectifiedCamera& camera, const std::vector
 // The pose moved by (dt, dw): T + dt, exp(dw) R.
 Pose perturbed(const Pose& pose, const Vector6d& step);
 
+// The matrix of the cross product: cross_matrix(v) w = v x w.
+Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v);
+
 }  // namespace iris::motion

@@ -1,18 +1,39 @@
 // Camera motion between two stereo views from spatially consistent sets of corners (SCS, thesis ch. 5).
 #pragma once
 
+#include <vector>
+
+#include "iris/motion/correspondences.h"
 #include "iris/motion/features.h"
 #include "iris/motion/scs_options.h"
 #include "iris/types/motion_estimate.h"
 
 namespace iris::motion {
 
-// The motion of the camera from `prev` to `cur`. Nothing is predicted: the views may be any two that overlap, whatever
-// their order in time. A failure is the estimate's status:
+// The motion of the camera from `prev` to `cur`. Nothing is predicted from earlier motions: the views may be any two
+// that overlap, whatever their order in time. A failure is the estimate's status:
 //   too_few_corners     one of the views has less than options.min_used corners;
 //   too_few_consistent  no rigid motion explains options.min_used correspondences;
-//   degenerate          the correspondences lie on a line or too close together to tell the rotation.
+//   degenerate          the correspondences lie on a line, too close together or too far away to tell the motion;
+//   ambiguous           two sets of correspondences of similar size tell different motions.
 MotionEstimate estimate_motion(const ViewFeatures& prev, const ViewFeatures& cur, const RectifiedCamera& camera,
                                const ScsOptions& options);
+
+// An estimate with the correspondences it comes from.
+struct TracedMotion {
+  MotionEstimate estimate;
+  std::vector<Correspondence> initial, consistent, used;
+};
+TracedMotion trace_motion(const ViewFeatures& prev, const ViewFeatures& cur, const RectifiedCamera& camera,
+                          const ScsOptions& options);
+
+// The motion that most of the given correspondences agree on; the current view is turned by `turns` quarter turns.
+// estimate.corners stays 0.
+TracedMotion motion_from(const std::vector<Correspondence>& initial, int turns, const RectifiedCamera& camera,
+                         const ScsOptions& options);
+
+// All corners looked for again where a successful motion predicts them; returns the better of both.
+TracedMotion with_predicted(const TracedMotion& motion, const ViewFeatures& prev, const ViewFeatures& cur,
+                            const RectifiedCamera& camera, const ScsOptions& options);
 
 }  // namespace iris::motion

@@ -8,8 +8,8 @@ namespace iris::motion {
 
 // Camera motion from spatially consistent sets of corners (SCS, thesis ch. 5).
 struct ScsOptions {
-  std::string model = "ellipsoid";  // error model of the last minimisation (4.4): spherical|ellipsoid|drift|image
-  double pixel_error = 0.1;         // [px] standard deviation of image coordinates (dp, 4.4); wider lets wrong sets in
+  std::string model = "image";  // error model of the last minimisation (4.4): spherical|ellipsoid|drift|image
+  double pixel_error = 0.1;     // [px] standard deviation of image coordinates (dp, 4.4); wider lets wrong sets in
   // Corners (5.3.1).
   int max_corners = 500;       // most corners a view, spread over the image by a grid
   int grid_columns = 10;       // cells of that grid across the image; the rows follow from the image's shape
@@ -19,15 +19,22 @@ struct ScsOptions {
   double max_refinement =
       1.5;                    // [px] matches whose refinement moves further are used only if the others do not suffice
   bool quarter_turns = true;  // after a failure, also try the current view turned by 90, 180 and 270 degrees
+  bool predict = true;        // look for all corners again where the first motion predicts them
+  double min_similarity = 0.8;  // correlation coefficient of a corner's surroundings that were found by prediction
   // Consistency (5.3.3).
   double max_turn = 45.0;  // [deg] largest rotation between the views (theta of 5.3)
+  double ambiguity = 0.7;  // a second set at least this part as large, with another motion, makes the result ambiguous
   // Result.
-  int min_used = 8;                 // fewer correspondences than this are a failure
-  bool reject_suspicious = true;    // Chauvenet's criterion (5.4)
-  double huber_px = 0.3;            // [px] errors beyond this count linearly in the last minimisation; 0 = off
-  double max_rms_px = 0.5;          // [px] image error per coordinate that a good motion does not exceed
-  double max_rotation_error = 1.0;  // [deg] an estimate whose rotation is less certain (one sigma) is degenerate
-  int retry_views = 5;              // earlier views that a failed estimate is retried against
+  int min_used = 8;                     // fewer correspondences than this are a failure
+  bool reject_suspicious = true;        // Chauvenet's criterion (5.4)
+  double huber_px = 0.3;                // [px] errors beyond this count linearly in the last minimisation; 0 = off
+  double max_rms_px = 0.5;              // [px] image error per coordinate that a good motion does not exceed
+  double max_rotation_error = 1.0;      // [deg] an estimate whose rotation is less certain (one sigma) is degenerate
+  double max_translation_error = 0.02;  // part of the median depth of the points by which the translation may be off
+  // Failures.
+  int retry_views = 5;  // earlier views that a failed estimate is retried against
+  bool rescue = true;   // after that, try again with many more corners and with SIFT
+  bool guess = false;   // after that, continue the last motion (status guessed) instead of a new sub-map
 
   void declare(OptionSet& set);
 };

@@ -1,0 +1,98 @@
+#include "iris/motion/track.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <numbers>
+#include <random>
+
+#include "support/synthetic_views.h"
+
+namespace iris::motion {
+namespace {
+
+// A texture seen through a linear map: the grey value at x is that of the texture at `place` + m (x - centre).
+cv::Mat1b textured(const Eigen::Vector2d& centre, const Eigen::Matrix2d& m, double gain, double offset, double noise,
+                   unsigned seed) {
+  std::mt19937_64 random(seed);
+  std::normal_distribution<double> normal(0, noise);
+  cv::Mat1b image(80, 90);
+  for (int y = 0; y < image.rows; ++y) {
+    for (int x = 0; x < image.cols; ++x) {
+      const Eigen::Vector2d p = m * (Eigen::Vector2d(x, y) - centre);
+      image(y, x) = cv::saturate_cast<uint8_t>(offset + gain * 255 * testing::texture(p.x(), p.y(), 3, 32) +
+                                               (noise > 0 ? normal(random) : 0));
+    }
+  }
+  return image;
+}
+
+Eigen::Matrix2d similarity(double degrees, double scale) {
+  return scale * Eigen::Rotation2Dd(degrees * std::numbers::pi / 180).toRotationMatrix();
+}
+
+TEST(TrackPatch, FindsAKnownPlaceToAFractionOfAPixel) {
+  const Eigen::Vector2d at(40.3, 37.6);
+  const cv::Mat1b from = textured(at, Eigen::Matrix2d::Identity(), 1, 0, 0, 1);
+  for (const Eigen::Vector2d& place : {Eigen::Vector2d(44.9, 40.1), Eigen::Vector2d(41.25, 36.75)}) {
+    const cv::Mat1b to = textured(place, Eigen::Matrix2d::Identity(), 1, 0, 0, 1);
+    const PatchTrack track = track_patch(from, at, to, place + Eigen::Vector2d(1.3, -0.8), Eigen::Matrix2d::Identity());
+    ASSERT_TRUE(track.found);
+    EXPECT_LT((track.position - place).norm(), 0.03);  // rounding to grey levels and bilinear sampling
+    EXPECT_GT(track.similarity, 0.99);
+  }
+}
+
+TEST(TrackPatch, FollowsTurnedAndScaledSurroundings) {
+  const Eigen::Vector2d at(40.3, 37.6), place(46.2, 39.7);
+  const cv::Mat1b from = textured(at, Eigen::Matrix2d::Identity(), 1, 0, 0, 1);
+  for (const auto& [degrees, scale] : {std::pair{90.0, 1.0}, {-90.0, 1.0}, {180.0, 1.0}, {25.0, 1.2}, {-10.0, 0.8}}) {
+    const Eigen::Matrix2d to_from_from = similarity(degrees, scale);
+    const cv::Mat1b to = textured(place, to_from_from.inverse(), 1, 0, 0, 1);
+    const PatchTrack track = track_patch(from, at, to, place + Eigen::Vector2d(-0.7, 0.9), to_from_from);
+    ASSERT_TRUE(track.found) << degrees;
+    EXPECT_LT((track.position - place).norm(), 0.05) << degrees;
+    EXPECT_GT(track.similarity, 0.98);
+  }
+}
+
+TEST(TrackPatch, IgnoresBrightnessAndIsUnbiasedUnderNoise) {
+  const Eigen::Vector2d at(40.3, 37.6), place(43.5, 38.2);
+  Eigen::Vector2d mean = Eigen::Vector2d::Zero();
+  constexpr int kTrials = 100;
+  for (int i = 0; i < kTrials; ++i) {
+    const cv::Mat1b from = textured(at, Eigen::Matrix2d::Identity(), 0.6, 20, 3, 2 * i + 1);
+    const cv::Mat1b to = textured(place, Eigen::Matrix2d::Identity(), 0.6, 60, 3, 2 * i + 2);
+    const PatchTrack track = track_patch(from, at, to, place, Eigen::Matrix2d::Identity());
+    ASSERT_TRUE(track.found);
+    EXPECT_LT((track.position - place).norm(), 0.3);
+    mean += (track.position - place) / kTrials;
+  }
+  EXPECT_LT(mean.norm(), 0.03);  // each is off by about 0.08 px
+}
+
+TEST(TrackPatch, GivesUpWhereNothingCanBeFollowed) {
+  const Eigen::Matrix2d none = Eigen::Matrix2d::Identity();
+  const Eigen::Vector2d at(40.3, 37.6);
+  const cv::Mat1b image = textured(at, none, 1, 0, 0, 1);
+  EXPECT_FALSE(track_patch(cv::Mat1b(80, 90, uint8_t{100}), at, image, at, none).found);  // flat
+  cv::Mat1b edge(80, 90, uint8_t{50});
+  edge.colRange(40, 90).setTo(150);
+  EXPECT_FALSE(track_patch(edge, at, edge, at, none).found);  // a straight edge leaves the way along it open
+  for (const Eigen::Vector2d& outside : {Eigen::Vector2d(3, 40), Eigen::Vector2d(86, 40), Eigen::Vector2d(40, 3),
+                                         Eigen::Vector2d(40, 77), Eigen::Vector2d(NAN, 40)}) {
+    EXPECT_FALSE(track_patch(image, outside, image, at, none).found);
+    EXPECT_FALSE(track_patch(image, at, image, outside, none).found);
+  }
+  EXPECT_FALSE(track_patch(image, at, image, at, Eigen::Matrix2d::Zero()).found);
+  // The largest sums that pixels can give: squares of black and white.
+  cv::Mat1b black_and_white(80, 90);
+  for (int y = 0; y < 80; ++y)
+    for (int x = 0; x < 90; ++x) black_and_white(y, x) = (x / 4 + y / 4) % 2 ? 255 : 0;
+  const PatchTrack track = track_patch(black_and_white, {40, 36}, black_and_white, {40.4, 36.3}, none);
+  ASSERT_TRUE(track.found);
+  EXPECT_LT((track.position - Eigen::Vector2d(40, 36)).norm(), 1e-3);
+}
+
+}  // namespace
+}  // namespace iris::motion

@@ -1,9 +1,9 @@
 #include "filters.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
-#include <opencv2/imgproc.hpp>
 
 #include "iris/core/parallel.h"
 
@@ -79,6 +79,86 @@ cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int mi
     }
   });
   return disparity;
+}
+
+namespace {
+
+constexpr int kPhases = 64;  // per pixel of disparity, for the estimate of the pull
+
+// A of equalise().
+double estimate_pull(const cv::Mat1w& winner, int min_disparity, const cv::Mat1f& disparity) {
+  constexpr double kLowest = -0.06, kHighest = 0.13;  // beyond these it is not texture that causes them
+  std::vector<std::array<int, kPhases + 1>> histograms;
+  for (int y = 0; y < winner.rows; ++y) {
+    const uint16_t* w = winner[y];
+    const float* d = disparity[y];
+    for (int x = 0; x < winner.cols; ++x) {
+      if (w[x] == Correlation::kNone) continue;
+      const float phase = d[x] - static_cast<float>(w[x] + min_disparity) + 0.5f;
+      if (phase < 0 || phase > 1) continue;
+      if (w[x] >= histograms.size()) histograms.resize(w[x] + 1);
+      ++histograms[w[x]][static_cast<size_t>(phase * kPhases + 0.5f)];
+    }
+  }
+  struct Level {
+    double pixels = 0, cosine = 0;
+  };
+  std::vector<Level> levels;
+  double all = 0;
+  for (const auto& histogram : histograms) {
+    Level level;
+    for (int i = 0; i <= kPhases; ++i) {
+      level.pixels += histogram[i];
+      level.cosine += histogram[i] * std::cos(2 * CV_PI * (static_cast<double>(i) / kPhases - 0.5));
+    }
+    if (level.pixels == 0) continue;
+    level.cosine /= level.pixels;
+    all += level.pixels;
+    levels.push_back(level);
+  }
+  if (levels.size() < 3) return 0;
+  // A single large plane must not outvote all others.
+  const double most = all / static_cast<double>(levels.size());
+  double weights = 0, mean = 0, squares = 0;
+  for (const Level& level : levels) {
+    weights += std::min(level.pixels, most);
+    mean += std::min(level.pixels, most) * level.cosine;
+  }
+  mean /= weights;
+  for (const Level& level : levels) {
+    const double term = std::min(level.pixels, most) / weights * (level.cosine - mean);
+    squares += term * term;  // of the standard error of the mean
+  }
+  const double trust = mean == 0 ? 0 : std::max(0.0, 1 - squares / (mean * mean));
+  return std::clamp(trust * mean / CV_PI, kLowest, kHighest);
+}
+
+}  // namespace
+
+void equalise(const cv::Mat1w& winner, int min_disparity, cv::Mat1f& disparity) {
+  const double pull = estimate_pull(winner, min_disparity, disparity);
+  if (pull == 0) return;
+  // Correction of a measured phase, tabulated: the p at which p - A sin(2 pi p) is the measured one.
+  constexpr int kTable = 1024;
+  std::array<float, kTable + 1> correction;
+  for (int i = 0; i <= kTable; ++i) {
+    const double measured = static_cast<double>(i) / kTable - 0.5;
+    double phase = measured;
+    for (int k = 0; k < 60; ++k) phase = measured + pull * std::sin(2 * CV_PI * phase);  // converges: 2 pi A < 1
+    correction[i] = static_cast<float>(phase - measured);
+  }
+  parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
+    for (int y = y0; y < y1; ++y) {
+      const uint16_t* w = winner[y];
+      float* d = disparity[y];
+      for (int x = 0; x < winner.cols; ++x) {
+        if (w[x] == Correlation::kNone) continue;
+        const float phase = d[x] - static_cast<float>(w[x] + min_disparity) + 0.5f;
+        if (phase < 0 || phase > 1) continue;  // the smallest disparity that stands for infinity
+        d[x] += correction[static_cast<size_t>(phase * kTable + 0.5f)];
+      }
+    }
+  });
 }
 
 Segments find_segments(const cv::Mat1f& disparity, double tolerance) {
@@ -162,15 +242,6 @@ void reject_small(int min_size, cv::Mat1f& disparity, Segments& segments) {
       }
     }
   });
-}
-
-cv::Mat1f smooth(const cv::Mat1f& disparity) {
-  cv::Mat1f median, out = disparity.clone();
-  cv::medianBlur(disparity, median, 5);
-  cv::Mat1b whole = disparity > 0;
-  cv::erode(whole, whole, cv::Mat1b(5, 5, uchar{1}), cv::Point(-1, -1), 1, cv::BORDER_CONSTANT, cv::Scalar(0));
-  median.copyTo(out, whole);
-  return out;
 }
 
 }  // namespace iris::stereo

@@ -31,6 +31,14 @@ enum class SubPixel {
 cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, SubPixel fit,
                  float smallest);
 
+// Takes the pull towards (or away from) whole pixels out of refined disparities. Costs do not grow exactly linearly, so
+// that a surface at phase p between two pixels is measured at p - A sin(2 pi p), with an A that depends on texture,
+// filter and cap. Phases are spread evenly over the pixels of a slanting or rugged scene, then the mean of
+// cos(2 pi measured) is pi A to first order, and A follows from the disparities themselves. It is estimated for each
+// whole disparity; as far as these estimates contradict each other (frontal planes, whose phases are not spread), A is
+// lowered, in the end to 0.
+void equalise(const cv::Mat1w& winner, int min_disparity, cv::Mat1f& disparity);
+
 // Labels of 4-connected segments of valid disparities (> 0) whose neighbours differ by at most `tolerance` [px];
 // -1 = invalid. Labels count from 0 in the order of each segment's first pixel. `sizes` [px] per label.
 struct Segments {
@@ -41,8 +49,5 @@ Segments find_segments(const cv::Mat1f& disparity, double tolerance);
 
 // Segment filter: disparities of segments smaller than `min_size` [px] become 0, their labels -1.
 void reject_small(int min_size, cv::Mat1f& disparity, Segments& segments);
-
-// Median over 5x5 pixels, for those whose 5x5 neighbours are all valid (> 0) and inside of the image; others stay.
-cv::Mat1f smooth(const cv::Mat1f& disparity);
 
 }  // namespace iris::stereo

@@ -12,6 +12,7 @@
 #include "interpolation.h"
 #include "iris/core/error.h"
 #include "log_filter.h"
+#include "median.h"
 
 namespace iris::stereo {
 namespace {
@@ -140,8 +141,9 @@ void MwmfOptions::declare(OptionSet& set) {
   set.add("reject_outermost", reject_outermost,
           "Rejects matches with the outermost column of the right image: mostly of pixels that the right camera does "
           "not see.");
-  set.add("sub_pixel", sub_pixel, {"off", "parabola", "v"},
-          "What is fitted to the three lowest costs for disparities finer than a pixel.");
+  set.add("sub_pixel", sub_pixel, {"off", "parabola", "v", "equalised"},
+          "What is fitted to the three lowest costs for disparities finer than a pixel; equalised = v, of which the "
+          "remaining pull towards whole pixels is estimated over the image and taken out.");
   set.add("borders", borders, {"off", "halves", "support"},
           "Correction of the left and right borders of objects: halves = where both halves of a window fit equally "
           "well, as in the thesis; support = where every pixel is explained best by its side.");
@@ -160,7 +162,9 @@ void MwmfOptions::declare(OptionSet& set) {
   set.add("hidden_strips", hidden_strips,
           "A gap as wide as the step of disparity at its right end is hidden from the right camera: it continues the "
           "background at its left.");
-  set.add("median", median, "5x5 median of the finished disparities.");
+  set.add("median", median, {"off", "plain", "guided"},
+          "Last step: a plain 5x5 median; or, next to steps of disparity, one in which pixels of similar grey value "
+          "count most, so that borders of objects follow the image.");
 }
 
 void MwmfOptions::apply_preset() {
@@ -185,14 +189,15 @@ void MwmfOptions::apply_preset() {
     gaps = "smallest";
     left_from_right = false;
     hidden_strips = false;
+    median = "off";
   } else if (preset == "quality") {
     measure = "census_sad";
     window_height = 5;
     log_sigma = 0;
     difference_cap = 15;
-    min_margin = 1;
+    min_margin = 1.5;
     border_reach = 2;
-    min_segment = 150;
+    min_segment = 100;
   }
 }
 
@@ -210,9 +215,11 @@ DisparityImage mwmf(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOpt
   }
   if (options.reject_outermost) reject_outermost(options.min_disparity, winner);
   // Sub-pixel disparities (3.4.1).
-  const auto fit = parse<SubPixel>(options.sub_pixel,
+  const bool equalised = options.sub_pixel == "equalised";
+  const auto fit = parse<SubPixel>(equalised ? "v" : options.sub_pixel,
                                    {{"off", SubPixel::off}, {"parabola", SubPixel::parabola}, {"v", SubPixel::v}});
   cv::Mat1f disparity = refine(correlation, winner, options.min_disparity, fit, kSmallestDisparity);
+  if (equalised) equalise(winner, options.min_disparity, disparity);
   // Borders of objects (3.4.4).
   cv::Mat1b corrected;
   if (options.borders != "off") {
@@ -236,7 +243,8 @@ DisparityImage mwmf(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOpt
   interpolation.left_from_right = options.left_from_right;
   interpolation.hidden_strips = options.hidden_strips;
   DisparityImage out = interpolate(disparity, corrected, segments, interpolation);
-  if (options.median) out.disparity = smooth(out.disparity);
+  if (options.median == "plain") out.disparity = plain_median(out.disparity);
+  if (options.median == "guided") out = guided_median(left, out);
   return out;
 }
 

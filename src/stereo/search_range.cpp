@@ -29,6 +29,7 @@ MwmfOptions wide_search(const MwmfOptions& options, cv::Size half_size) {
   wide.min_margin = 0.16;
   wide.left_right_tolerance = 0;
   wide.borders = "off";
+  wide.median = "off";
   wide.min_segment = std::max(1, static_cast<int>(std::lround(kSurface * half_size.area())));
   return wide;
 }

@@ -346,6 +346,20 @@ TEST_F(Cli, RectifyWritesASessionAndStereoItsDisparities) {
   const cv::Mat code = cv::imread(disparity.string(), cv::IMREAD_UNCHANGED);
   ASSERT_EQ(code.type(), CV_16UC1);
   EXPECT_GT(cv::countNonZero(code), code.rows * code.cols / 2);
+  const auto more = [&](std::vector<std::string> arguments) {
+    arguments.insert(arguments.begin(), {"stereo", (rectified / "left/000003.png").string(),
+                                         (rectified / "right/000003.png").string(), "--quiet"});
+    return run_program(arguments).exit_code;
+  };
+  const fs::path depth = folder_->path() / "z.png", points = folder_->path() / "points.ply";
+  ASSERT_EQ(more({"-o", (folder_->path() / "d.pfm").string(), "--depth", depth.string(), "--ply", points.string(),
+                  "--calibration", (rectified / "calibration.yaml").string()}),
+            0);
+  EXPECT_GT(cv::countNonZero(cv::Mat1w(cv::imread(depth.string(), cv::IMREAD_UNCHANGED))), code.rows * code.cols / 2);
+  EXPECT_THAT(read_file(points), StartsWith("ply\nformat binary_little_endian 1.0\n"));
+  EXPECT_EQ(more({"-o", disparity.string(), "--depth", depth.string()}), 2);  // of which camera?
+  EXPECT_EQ(more({"-o", "d.jpg"}), 2);
+  EXPECT_EQ(more({"-o", disparity.string(), "--stereo.disparities", "300"}), 2);  // more than 16 bits hold
   // Nothing is overwritten: neither a recording nor an earlier result.
   EXPECT_EQ(run_program({"rectify", session().string(), "-o", session().string()}).exit_code, 3);
   EXPECT_EQ(run_program({"rectify", session().string(), "-o", rectified.string()}).exit_code, 3);

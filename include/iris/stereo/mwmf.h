@@ -27,7 +27,7 @@ struct MwmfOptions {
   double min_margin = 0.08;              // [grey levels per window pixel] smallest margin of the winner (3.4); 0 = off
   double left_right_tolerance = 1.0;     // [px] largest difference between both search directions (3.4.1); < 0 = off
   bool reject_outermost = true;          // drops matches with the outermost columns of the right image
-  std::string sub_pixel = "v";           // off | parabola | v (3.4.1)
+  std::string sub_pixel = "equalised";   // off | parabola | v | equalised (3.4.1)
   std::string borders = "support";       // off | halves | support: correction of the borders of objects (3.4.4)
   int border_reach = 4;                  // [px] by how much a border may be moved
   int border_rows = 5;                   // rows that take part in it; odd
@@ -36,7 +36,7 @@ struct MwmfOptions {
   std::string gaps = "second_smallest";  // smallest | second_smallest of the neighbours fills gaps between segments
   bool left_from_right = true;           // the strip at the left edge continues its right neighbour
   bool hidden_strips = true;             // strips hidden by an object continue their left neighbour
-  bool median = false;                   // 5x5 median at the end
+  std::string median = "guided";         // off | plain | guided: median at the end
 
   void declare(OptionSet& set);
 

@@ -17,7 +17,7 @@ int guide_weight(int grey_difference, bool interpolated);
 
 // Median guided by the left image: next to steps of disparity, where windows and interpolation leave ragged borders,
 // pixels of similar grey value share a disparity. A pixel that has a step of more than 1 px between neighbours within
-// kMedianRadius, and whose disparity is more than 1 px away from the weighted median of the (rounded) disparities
+// kMedianRadius, and whose rounded disparity is more than 1 px away from the weighted median of the rounded ones
 // around it, takes the disparity of the nearest pixel at the median. Its origin becomes corrected if it was measured
 // and stays otherwise; pixels without disparity stay so.
 DisparityImage guided_median(const cv::Mat1b& left, const DisparityImage& image);

@@ -13,6 +13,7 @@
 #include "iris/core/error.h"
 #include "log_filter.h"
 #include "median.h"
+#include "semi_global.h"
 
 namespace iris::stereo {
 namespace {
@@ -95,13 +96,34 @@ Matched match(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOptions& 
   return {fast ? correlate(a, b, p) : compare(a, b, parameters), static_cast<int>(std::lround(margin))};
 }
 
+// Correlation and what follows it up to sub-pixel disparities.
+cv::Mat1f measure_disparities(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOptions& options) {
+  // Correlation with multiple windows (3.4.2).
+  const Matched matched = match(left, right, options);
+  const Correlation& correlation = matched.correlation;
+  // Filters (3.4.3, 3.4.1).
+  cv::Mat1w winner = correlation.winner.clone();
+  if (matched.min_margin > 0) reject_ambiguous(correlation, matched.min_margin, winner);
+  if (options.left_right_tolerance >= 0) {
+    reject_one_sided(correlation.right_winner, options.min_disparity, options.left_right_tolerance, winner);
+  }
+  if (options.reject_outermost) reject_outermost(options.min_disparity, winner);
+  // Sub-pixel disparities (3.4.1).
+  const bool equalised = options.sub_pixel == "equalised";
+  const auto fit = parse<SubPixel>(equalised ? "v" : options.sub_pixel,
+                                   {{"off", SubPixel::off}, {"parabola", SubPixel::parabola}, {"v", SubPixel::v}});
+  cv::Mat1f disparity = refine(correlation, winner, options.min_disparity, fit, kSmallestDisparity);
+  if (equalised) equalise(winner, options.min_disparity, disparity);
+  return disparity;
+}
+
 }  // namespace
 
 void MwmfOptions::declare(OptionSet& set) {
   set.section("stereo");
   set.add_preset(
       "preset", preset, {"thesis", "default", "quality"}, [this] { apply_preset(); },
-      "Values for all options of this section from 'measure' on; what is given beside it wins. thesis = the "
+      "Values for all options of this section from 'method' on; what is given beside it wins. thesis = the "
       "method as Hirschmueller's thesis describes it; default = the same steps with what measurements have "
       "shown to be better; quality = fewer errors, slower.");
   set.add("disparities", disparities, "px", 0, 512,
@@ -112,6 +134,9 @@ void MwmfOptions::declare(OptionSet& set) {
   set.add("interpolation", interpolation, {"off", "within", "everywhere"},
           "Filling of gaps: off; within = inside of surfaces only; everywhere = between surfaces as well, from the "
           "farther one. What was measured stays marked as measured in every case.");
+  set.add("method", method, {"mwmf", "sgbm"},
+          "mwmf = correlation with multiple windows; sgbm = OpenCV's semi-global matching in its place (blocks of "
+          "window_height x window_height), followed by the same steps from the correction of borders on.");
   set.add("measure", measure, {"sad", "census_sad", "census", "rank", "ssd", "ncc"},
           "How pixels are compared: sad = absolute differences of grey values; census = by which of their neighbours "
           "are darker; census_sad = both, fewer wrong matches but slower; rank, ssd and ncc for comparison.");
@@ -204,22 +229,10 @@ void MwmfOptions::apply_preset() {
 DisparityImage mwmf(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOptions& options) {
   IRIS_CHECK(options.disparities > 0);
   IRIS_CHECK(!left.empty() && left.size() == right.size());
-  // Correlation with multiple windows (3.4.2).
-  const Matched matched = match(left, right, options);
-  const Correlation& correlation = matched.correlation;
-  // Filters (3.4.3, 3.4.1).
-  cv::Mat1w winner = correlation.winner.clone();
-  if (matched.min_margin > 0) reject_ambiguous(correlation, matched.min_margin, winner);
-  if (options.left_right_tolerance >= 0) {
-    reject_one_sided(correlation.right_winner, options.min_disparity, options.left_right_tolerance, winner);
-  }
-  if (options.reject_outermost) reject_outermost(options.min_disparity, winner);
-  // Sub-pixel disparities (3.4.1).
-  const bool equalised = options.sub_pixel == "equalised";
-  const auto fit = parse<SubPixel>(equalised ? "v" : options.sub_pixel,
-                                   {{"off", SubPixel::off}, {"parabola", SubPixel::parabola}, {"v", SubPixel::v}});
-  cv::Mat1f disparity = refine(correlation, winner, options.min_disparity, fit, kSmallestDisparity);
-  if (equalised) equalise(winner, options.min_disparity, disparity);
+  cv::Mat1f disparity = options.method == "sgbm"
+                            ? semi_global(left, right, options.disparities, options.min_disparity,
+                                          options.window_height | 1, options.left_right_tolerance, kSmallestDisparity)
+                            : measure_disparities(left, right, options);
   // Borders of objects (3.4.4).
   cv::Mat1b corrected;
   if (options.borders != "off") {

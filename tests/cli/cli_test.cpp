@@ -356,7 +356,7 @@ TEST_F(Cli, RectifyWritesASessionAndStereoItsDisparities) {
                   "--calibration", (rectified / "calibration.yaml").string()}),
             0);
   EXPECT_GT(cv::countNonZero(cv::Mat1w(cv::imread(depth.string(), cv::IMREAD_UNCHANGED))), code.rows * code.cols / 2);
-  EXPECT_THAT(read_file(points), StartsWith("ply\nformat binary_little_endian 1.0\n"));
+  EXPECT_THAT(read_file(points), ::testing::StartsWith("ply\nformat binary_little_endian 1.0\n"));
   EXPECT_EQ(more({"-o", disparity.string(), "--depth", depth.string()}), 2);  // of which camera?
   EXPECT_EQ(more({"-o", "d.jpg"}), 2);
   EXPECT_EQ(more({"-o", disparity.string(), "--stereo.disparities", "300"}), 2);  // more than 16 bits hold

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "iris/core/parallel.h"
+#include "support/simd_targets.h"
 
 namespace iris::stereo {
 namespace {
@@ -34,10 +35,11 @@ TEST(PlainMedian, OfThoseWhoseNeighboursAreAllValid) {
 }
 
 TEST(GuidedMedian, WeightsFallWithTheDifferenceOfGreyValues) {
-  EXPECT_EQ(guide_weight(0, false), 100);
-  EXPECT_EQ(guide_weight(0, true), 60);
-  EXPECT_EQ(guide_weight(12, false), 37);  // 100 / e
-  EXPECT_EQ(guide_weight(255, false), 0);
+  EXPECT_EQ(guide_weight(0, false), 160);
+  EXPECT_EQ(guide_weight(0, true), 96);
+  EXPECT_EQ(guide_weight(12, false), 100);
+  EXPECT_EQ(guide_weight(32, false), 0);
+  EXPECT_EQ(guide_weight(255, true), 0);
 }
 
 // A dark object before a bright wall, its measured border 2 px too far out.
@@ -75,6 +77,10 @@ TEST(GuidedMedian, EqualsTheDefinitionWithAnyNumberOfThreads) {
     }
     DisparityImage one, many;
     with_threads(1, [&] { one = guided_median(left, image); });
+    testing::for_each_simd_target([&](const char* target) {
+      const DisparityImage with = guided_median(left, image);
+      EXPECT_EQ(cv::countNonZero(with.disparity != one.disparity), 0) << target;
+    });
     with_threads(4, [&] { many = guided_median(left, image); });
     const auto inside = [&](int y, int x) { return y >= 0 && x >= 0 && y < size.height && x < size.width; };
     for (int y = 0; y < size.height; ++y) {
@@ -112,7 +118,7 @@ TEST(GuidedMedian, EqualsTheDefinitionWithAnyNumberOfThreads) {
             median = entry.bin;
             if (2 * sum >= total) break;
           }
-          if (std::abs(static_cast<float>(median) - d) > 1) {
+          if (std::abs(median - static_cast<int>(std::lround(d))) > 1) {
             int nearest = 1000;
             for (const Entry& entry : entries) {
               if (entry.bin != median || entry.distance >= nearest) continue;

@@ -16,6 +16,7 @@ struct MwmfOptions {
   int min_disparity = 0;                     // [px] start of the search range; negative if the cameras squint
   std::string interpolation = "everywhere";  // off | within | everywhere (3.4.5)
 
+  std::string method = "mwmf";  // mwmf | sgbm: OpenCV's semi-global matching instead of correlation
   std::string measure = "sad";  // sad | census_sad | census | rank | ssd | ncc (3.4.2)
   int windows = 5;              // 1 | 5 | 9 | 25: windows that support each other (3.1-3.3)
   int window_width = 7;         // [px] of each of them; odd (an even number is raised by one)
@@ -40,7 +41,7 @@ struct MwmfOptions {
 
   void declare(OptionSet& set);
 
-  // Sets everything from `measure` on to what `preset` stands for:
+  // Sets everything from `method` on to what `preset` stands for:
   //   thesis   the method as the thesis describes it;
   //   default  the same steps, with what measurements have shown to be better;
   //   quality  census bits beside the grey values: fewer errors, slower.

@@ -181,6 +181,11 @@ std::vector<TriangleMesh> read_meshes(const fs::path& path) {
   Eigen::Matrix4d world_from_file = Eigen::Matrix4d::Identity();
   if (is_gltf) world_from_file.topLeftCorner<3, 3>() << 1, 0, 0, 0, 0, -1, 0, 1, 0;  // y up -> z up
   collect(*scene, *scene->mRootNode, world_from_file, looks, meshes);
+  const bool coloured_vertices = std::any_of(scene->mMeshes, scene->mMeshes + scene->mNumMeshes,
+                                             [](const aiMesh* m) { return m->HasVertexColors(0); });
+  if (coloured_vertices && std::all_of(meshes.begin(), meshes.end(), [](const auto& m) { return m.texture.empty(); })) {
+    spdlog::warn("{}: colours of single vertices are not kept; each part gets their mean", path.string());
+  }
   if (meshes.empty())
     throw InputError(path, "has no triangle", "export the model with its faces; points and lines are not enough");
   for (const TriangleMesh& mesh : meshes) {

@@ -66,10 +66,11 @@ void write_frame(const fs::path& folder, const Simulator& simulator, int frame_i
 void write_plan(const fs::path& folder, const simulate::FloorPlan& plan) {
   const auto write = [&](const std::string& name, const cv::Mat1b& cells, double low, double high) {
     write_file(folder / (name + ".png"), workspace::encode_png(cells));
-    write_file(folder / (name + ".yaml"),
-               fmt::format("# true map between z = {} m and {} m\nimage: {}.png\nmode: trinary\nresolution: {}\n"
-                           "origin: [{}, {}, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
-                           low, high, name, plan.cell, plan.origin_x, plan.origin_y));
+    write_file(
+        folder / (name + ".yaml"),
+        fmt::format("# true map between z = {:.3f} m and {:.3f} m\nimage: {}.png\nmode: trinary\nresolution: {}\n"
+                    "origin: [{}, {}, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
+                    low, high, name, plan.cell, plan.origin_x, plan.origin_y));
   };
   for (size_t k = 0; k < plan.layers.size(); ++k) {
     write(fmt::format("plan_{}", k), plan.layers[k], plan.layer_bounds[k], plan.layer_bounds[k + 1]);
@@ -84,6 +85,7 @@ void check_folder(const fs::path& folder, const std::string& options_text) {
     return;
   }
   if (fs::exists(record) && read_file(record) == options_text) return;
+  if (!fs::is_directory(folder)) throw InputError(folder, "is no folder", "give a new folder with -o");
   throw InputError(
       folder,
       fs::exists(record) ? "holds a simulated session of other options" : "is not empty and is no simulated session",

@@ -53,6 +53,9 @@ class Arguments {
 // Saves the effective options beside the result.
 void write_options(const std::filesystem::path& out, const OptionSet& set);
 
+// For -o: an empty name would mean the current folder.
+inline const CLI::Validator kNotEmpty([](std::string& text) { return text.empty() ? "the name is empty" : ""; }, "");
+
 // A subcommand: adds itself to the program and returns what runs it (the exit code is its result).
 using Command = std::function<int()>;
 Command add_run(CLI::App& program);

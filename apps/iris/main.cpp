@@ -97,7 +97,7 @@ int run(int argc, char** argv) {
     spdlog::error("iris: {}", error.what());
     return kBadInput;
   } catch (const Interrupted&) {
-    spdlog::warn("interrupted; run it again ('iris run' goes on where it stopped)");
+    spdlog::warn("interrupted; give the same command again ('iris run' and 'iris simulate' go on where they stopped)");
     return kInterrupted;
   } catch (const std::filesystem::filesystem_error& error) {
     spdlog::error("iris: {}: {}; check the folder and its permissions", error.path1().string(), error.code().message());

@@ -94,7 +94,7 @@ Command add_rectify(CLI::App& program) {
       program.add_subcommand("rectify", "Writes the rectified images with their calibration: DIR is again a session.");
   auto state = std::make_shared<Rectify>(*command);
   command->add_option("SESSION", state->session, "Recorded session")->required();
-  command->add_option("-o,--output", state->out, "Folder to write")->type_name("DIR")->required();
+  command->add_option("-o,--output", state->out, "Folder to write")->type_name("DIR")->check(kNotEmpty)->required();
   return [state] { return run(*state); };
 }
 

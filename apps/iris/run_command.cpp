@@ -81,7 +81,7 @@ Command add_run(CLI::App& program) {
       ->add_option("SESSION", state->session,
                    "Recorded session: a folder (KITTI, EuRoC/ASL, two image folders, videos) or a video")
       ->required();
-  command->add_option("-o,--output", state->out, "Output folder")->type_name("OUT")->required();
+  command->add_option("-o,--output", state->out, "Output folder")->type_name("OUT")->check(kNotEmpty)->required();
   return [state] { return run(*state); };
 }
 

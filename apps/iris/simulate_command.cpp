@@ -2,6 +2,8 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <Eigen/Geometry>
+#include <filesystem>
 #include <memory>
 
 #include "apps/iris/command.h"
@@ -14,20 +16,46 @@
 namespace iris::app {
 namespace {
 
+constexpr double kLargestScene = 1000;  // [m] across: what is larger is hardly meant in metres
+
 struct Simulate {
   explicit Simulate(CLI::App& command) : arguments(command, {"simulate", "mapping"}) {}
   std::string scene, out;
   Arguments arguments;
 };
 
+// One of the made-up scenes, or a mesh file.
+simulate::Scene scene_of(const std::string& name, int seed) {
+  const std::filesystem::path file = name;
+  if (!std::filesystem::exists(file)) {
+    if (file.has_extension() || file.has_parent_path()) {
+      throw InputError(file, "there is no such file", "check the name, or give a scene that --help names");
+    }
+    return simulate::make_scene(name, seed);
+  }
+  std::vector<TriangleMesh> meshes = exporters::read_meshes(file);
+  Eigen::AlignedBox3f box;
+  for (const TriangleMesh& mesh : meshes) {
+    for (const Eigen::Vector3f& vertex : mesh.vertices) box.extend(vertex);
+  }
+  if (box.diagonal().norm() > kLargestScene) {
+    throw InputError(file, fmt::format("is {:.0f} m large", box.diagonal().norm()),
+                     "scale the model to metres (it may be in millimetres)");
+  }
+  return simulate::scene_from_meshes(std::move(meshes), name);
+}
+
 int run(Simulate& state) {
   state.arguments.resolve();
   const simulate::SimulateOptions& options = state.arguments.simulate;
-  const simulate::Scene scene = std::filesystem::exists(state.scene)
-                                    ? simulate::scene_from_meshes(exporters::read_meshes(state.scene), state.scene)
-                                    : simulate::make_scene(state.scene, options.seed);
+  const simulate::Scene scene = scene_of(state.scene, options.seed);
   const simulate::SimulatedPath path = simulate::make_path(scene, options);
-  spdlog::info("{}: path '{}', {:.1f} m in {:.1f} s", scene.name, path.name, path.length, path.seconds);
+  spdlog::info(
+      "{}: path '{}', {:.1f} m in {:.1f} s{}", scene.name, path.name, path.length, path.seconds,
+      path.length > 0 ? fmt::format(", {:.2f} m/s on average (slower in turns)", path.length / path.seconds) : "");
+  if (options.frames / options.rate > path.seconds + 1 && path.length > 0) {
+    spdlog::warn("the path is shorter than {} frames: the camera rests at its end", options.frames);
+  }
   with_threads(state.arguments.threads(), [&] {
     exporters::write_session(state.out, scene, options, state.arguments.options.library.mapping,
                              fmt::format("# iris simulate {} (version {})\n", state.scene, IRIS_VERSION) +
@@ -51,6 +79,7 @@ Command add_simulate(CLI::App& program) {
       ->required();
   command->add_option("-o,--output", state->out, "Session to write, in the layout of EuRoC")
       ->type_name("SESSION")
+      ->check(kNotEmpty)
       ->required();
   return [state] { return run(*state); };
 }

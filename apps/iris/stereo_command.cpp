@@ -156,7 +156,10 @@ Command add_stereo(CLI::App& program) {
   auto state = std::make_shared<Stereo>(*command);
   command->add_option("LEFT", state->left, "Left rectified image")->required();
   command->add_option("RIGHT", state->right, "Right rectified image")->required();
-  command->add_option("-o,--output", state->out, "Disparity image to write")->type_name("FILE.png|.pfm")->required();
+  command->add_option("-o,--output", state->out, "Disparity image to write")
+      ->type_name("FILE.png|.pfm")
+      ->check(kNotEmpty)
+      ->required();
   command->add_option("--picture", state->picture, "Also write a coloured picture of it")->type_name("FILE.png");
   command
       ->add_option("--depth", state->depth, "Also write depths: .png in millimetres (16 bit, 0 = none), .pfm in metres")

@@ -44,7 +44,10 @@ Command add_tour(CLI::App& program) {
                    "'along' the recorded path, or a nerfstudio camera_path.json in the world of the run (z up, m)")
       ->type_name("along|P.json")
       ->capture_default_str();
-  command->add_option("-o,--output", state->video, "Video to write (MP4, H.264)")->type_name("FILE.mp4")->required();
+  command->add_option("-o,--output", state->video, "Video to write (MP4, H.264)")
+      ->type_name("FILE.mp4")
+      ->check(kNotEmpty)
+      ->required();
   command->add_option("--frames", state->frames, "Folder for the frames as PNG files")->type_name("DIR");
   return [state] { return run(*state); };
 }

@@ -1,5 +1,7 @@
 #include "iris/simulate/options.h"
 
+#include <fmt/format.h>
+
 #include <Eigen/Geometry>
 #include <cmath>
 #include <numbers>
@@ -8,15 +10,25 @@
 
 namespace iris::simulate {
 
+namespace {
+
+// [deg] The distortion polynomial is a good lens within this field of view; farther out it smears the image.
+constexpr double kWidestRealLens = 100;
+
+}  // namespace
+
 void SimulateOptions::declare(OptionSet& set) {
   set.section("simulate");
-  set.add("path", path, {},
-          "way of the camera: auto (the scene's first), circle, circle-far, roam, round, corridor, static or around; a "
-          "scene names those it offers");
+  set.add(
+      "path", path, {},
+      "way of the camera: auto (the scene's first), circle (level, round what there is to see or looking outwards), "
+      "circle-far, roam (any direction, with full turns about the optical axis), round (through all rooms and back), "
+      "corridor (forth and back), static, around (a target from many sides); a scene names those it offers");
   set.add("frames", frames, "", 0, 1000000, "number of stereo frames; 0 = as many as the way takes at this speed");
   set.add("rate", rate, "1/s", 0.01, 1000,
           "frames a second; between few frames the view changes much, the thesis recorded 1.5 and more");
-  set.add("speed", speed, "m/s", 0.001, 100, "speed of the camera on its way");
+  set.add("speed", speed, "m/s", 0.001, 100,
+          "speed of the camera on straight stretches; it turns by 45 degrees a second at most (roam: 60)");
   set.add("jitter", jitter, "times", 0, 20,
           "shaking of the hand that carries the camera; 1 = 8 mm and 0.6 degrees standard deviation, 0 = none");
   set.add("seed", seed, "", 0, 2147483647, "another seed, another furniture, shaking and noise");
@@ -62,6 +74,12 @@ StereoCalibration simulated_rig(const SimulateOptions& options) {
     rig.right_from_left.translation() = Eigen::Vector3d(-options.baseline, 0, 0);
     rig.rectified = true;
     return rig;
+  }
+  if (options.lens == "real" && options.fov > kWidestRealLens) {
+    throw UsageError(
+        fmt::format("simulate.fov = {} deg is too wide for the distortion of simulate.lens = real; at most {} "
+                    "deg, or simulate.lens = ideal",
+                    options.fov, kWidestRealLens));
   }
   if (options.lens != "real") throw UsageError("simulate.lens is '" + options.lens + "'; it must be real or ideal");
   // As two copies of one small camera differ; the mean of the four focal lengths, that of the rectified images, is f.

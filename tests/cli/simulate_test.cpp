@@ -1,0 +1,74 @@
+// From a made-up place to figures: iris simulate, run, evaluate.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <nlohmann/json.hpp>
+
+#include "iris/core/atomic_file.h"
+#include "support/program.h"
+#include "support/temporary_folder.h"
+
+namespace iris {
+namespace {
+
+namespace fs = std::filesystem;
+using iris::testing::run_program;
+using iris::testing::TemporaryFolder;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+class SimulateCli : public ::testing::Test {
+ protected:
+  std::vector<std::string> simulate(const std::string& scene, const fs::path& out,
+                                    const std::vector<std::string>& more = {}) const {
+    std::vector<std::string> arguments = {"simulate",          scene, "-o", out.string(), "--simulate.width", "320",
+                                          "--simulate.height", "240"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return arguments;
+  }
+  TemporaryFolder folder_;
+};
+
+TEST_F(SimulateCli, ASimulatedSessionIsReconstructedAndEvaluated) {
+  const fs::path session = folder_.path() / "session", out = folder_.path() / "out", json = folder_.path() / "e.json";
+  const auto simulated = run_program(simulate("boxes", session));
+  ASSERT_EQ(simulated.exit_code, 0) << simulated.output;
+  EXPECT_THAT(simulated.output, HasSubstr("path 'circle'"));
+  const auto run = run_program({"run", session.string(), "-o", out.string(), "--quiet", "--tour.seconds", "1"});
+  ASSERT_EQ(run.exit_code, 0) << run.output;
+  const auto evaluated = run_program({"evaluate", out.string(), "--truth", session.string(), "--json", json.string(),
+                                      "-o", (folder_.path() / "plots").string()});
+  ASSERT_EQ(evaluated.exit_code, 0) << evaluated.output;
+  EXPECT_THAT(evaluated.output, AllOf(HasSubstr("ATE"), HasSubstr("wrong"), HasSubstr("recall")));
+  EXPECT_TRUE(fs::exists(folder_.path() / "plots/trajectory_path.svg"));
+  const auto figures = nlohmann::json::parse(read_file(json));
+  // 0.1 px at about 1.5 m: 1.5^2 * 0.1 / (190 px * 0.11 m) = 11 mm in depth for one point, hundreds of them a view.
+  EXPECT_LT(figures.at("trajectory").at("ate_rmse").get<double>(), 0.02);
+  EXPECT_EQ(figures.at("trajectory").at("poses").get<double>(), 41);
+}
+
+TEST_F(SimulateCli, BadInputIsNamed) {
+  const auto check = [&](const std::vector<std::string>& arguments, int exit_code, const std::string& text) {
+    const auto result = run_program(arguments);
+    EXPECT_EQ(result.exit_code, exit_code) << result.output;
+    EXPECT_THAT(result.output, HasSubstr(text));
+  };
+  const fs::path out = folder_.path() / "out";
+  check(simulate("attic", out), 2, "apartment");
+  check(simulate("boxes", out, {"--simulate.path", "corridor"}), 2, "circle");
+  check(simulate("boxes", out, {"--simulate.rays", "3"}), 2, "square");
+  check(simulate("boxes", out, {"--simulate.fov", "140"}), 2, "simulate.lens = ideal");
+  check({"simulate", "boxes", "-o", ""}, 2, "empty");
+  check(simulate("missing.obj", out), 3, "there is no such file");
+  const fs::path large = folder_.path() / "mm.obj";
+  write_file(large, std::string_view("v 0 0 0\nv 4000 0 0\nv 0 3000 0\nf 1 2 3\n"));
+  check(simulate(large.string(), out), 3, "millimetres");
+  EXPECT_FALSE(fs::exists(out));
+  const fs::path file = folder_.path() / "file";
+  write_file(file, std::string_view("mine"));
+  check(simulate("boxes", file), 3, "is no folder");
+  EXPECT_EQ(read_file(file), "mine");
+}
+
+}  // namespace
+}  // namespace iris

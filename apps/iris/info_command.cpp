@@ -1,6 +1,7 @@
 // iris info SESSION|OUT: what is there.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <memory>
 
@@ -35,6 +36,43 @@ void print_session(const session::Session& session) {
   for (const std::string& note : session.notes()) fmt::print("note         {}\n", note);
 }
 
+// The numbers of thesis 5.4 for each frame, then their means.
+void print_motions(const workspace::Workspace& workspace) {
+  fmt::print("\nframe  submap  against  corners  initial  consistent  used  rms px\n");
+  int motions = 0, least_used = 0;
+  double corners = 0, initial = 0, consistent = 0, used = 0, rms = 0;
+  workspace.for_each_frame([&](const workspace::FrameRecord& record) {
+    if (!record.readable) {
+      fmt::print("{:5}  not readable: {}\n", record.frame_idx, record.message);
+      return;
+    }
+    const MotionEstimate& m = record.motion;
+    const bool begins = record.reference_frame < 0;
+    std::string note;
+    if (begins) {
+      note = record.submap == 0 ? "begins the path" : fmt::format("begins a sub-map: {}", name_of(m.status));
+    } else if (m.status != MotionStatus::ok) {
+      note = name_of(m.status);
+    }
+    fmt::print("{:5}  {:6}  {:>7}  {:7}  {:7}  {:10}  {:4}  {:6.3f}  {}\n", record.frame_idx, record.submap,
+               begins ? "-" : std::to_string(record.reference_frame), m.corners, m.initial, m.consistent, m.used,
+               m.rms_px, note);
+    if (begins || m.status != MotionStatus::ok) return;
+    ++motions;
+    least_used = motions == 1 ? m.used : std::min(least_used, m.used);
+    corners += m.corners;
+    initial += m.initial;
+    consistent += m.consistent;
+    used += m.used;
+    rms += m.rms_px;
+  });
+  if (motions == 0) return;
+  const double n = motions;
+  fmt::print(
+      " mean                  {:7.0f}  {:7.0f}  {:10.0f}  {:4.0f}  {:6.3f}  {} motions, never less than {} pairs\n",
+      corners / n, initial / n, consistent / n, used / n, rms / n, motions, least_used);
+}
+
 void print_output(const workspace::Workspace& workspace) {
   const pipeline::FramesSummary summary = pipeline::summarise_frames(workspace);
   fmt::print("output       {}\n", workspace.folder().string());
@@ -51,17 +89,7 @@ void print_output(const workspace::Workspace& workspace) {
       if (file.find("frames/") == std::string::npos) fmt::print("               {}\n", file);
     }
   }
-  fmt::print("\nframe  submap  against  corners  initial  consistent  used  rms px\n");
-  workspace.for_each_frame([](const workspace::FrameRecord& record) {
-    if (!record.readable) {
-      fmt::print("{:5}  not readable: {}\n", record.frame_idx, record.message);
-    } else {
-      const MotionEstimate& m = record.motion;
-      fmt::print("{:5}  {:6}  {:>7}  {:7}  {:7}  {:10}  {:4}  {:6.3f}  {}\n", record.frame_idx, record.submap,
-                 record.reference_frame < 0 ? "-" : std::to_string(record.reference_frame), m.corners, m.initial,
-                 m.consistent, m.used, m.rms_px, record.reference_frame < 0 ? "begins a sub-map" : "");
-    }
-  });
+  print_motions(workspace);
 }
 
 int info(Info& info) {

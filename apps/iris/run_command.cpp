@@ -3,6 +3,7 @@
 #include <spdlog/sinks/basic_file_sink.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <memory>
 
@@ -19,6 +20,7 @@ struct Run {
   explicit Run(CLI::App& command)
       : arguments(command, {"session", "stereo", "motion", "views", "mapping", "octree", "scene", "render", "tour"}) {}
   std::string session, out;
+  bool debug_motion = false;
   Arguments arguments;
 };
 
@@ -50,10 +52,15 @@ int run(Run& run) {
   for (const std::string& note : session->notes()) spdlog::warn("{}", note);
   write_options(out, arguments.set);
 
+  if (run.debug_motion) arguments.options.library.motion_pictures = out / "debug" / "motion";
   std::vector<pipeline::Stage> stages = {pipeline::frames_stage(*session, arguments.options.library)};
   for (pipeline::Stage& stage : exporters::product_stages(arguments.options)) stages.push_back(std::move(stage));
+  std::vector<std::string> ran;
   with_threads(arguments.threads(),
-               [&] { pipeline::run_stages(stages, arguments.set, workspace, arguments.control()); });
+               [&] { ran = pipeline::run_stages(stages, arguments.set, workspace, arguments.control()); });
+  if (run.debug_motion && std::find(ran.begin(), ran.end(), stages.front().name) == ran.end()) {
+    spdlog::warn("--debug-motion: the motions were found by an earlier run; pictures of them come with a new folder");
+  }
 
   const pipeline::FramesSummary summary = pipeline::summarise_frames(workspace);
   spdlog::info("{} of {} frames have a pose, {:.2f} m of path, {} stored views", summary.posed, session->size(),
@@ -82,6 +89,8 @@ Command add_run(CLI::App& program) {
                    "Recorded session: a folder (KITTI, EuRoC/ASL, two image folders, videos) or a video")
       ->required();
   command->add_option("-o,--output", state->out, "Output folder")->type_name("OUT")->check(kNotEmpty)->required();
+  command->add_flag("--debug-motion", state->debug_motion,
+                    "Write a picture of each frame's corners and pairs to OUT/debug/motion");
   return [state] { return run(*state); };
 }
 

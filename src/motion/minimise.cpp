@@ -105,8 +105,8 @@ MinimisedMotion finished(MinimisedMotion result, const Matrix6d& hessian, double
   }
   // Few residuals may be small by chance: never more certain than pixel_error promises.
   const double freedom = 3.0 * static_cast<double>(pairs) - 6;
-  const double factor = freedom > 0 ? std::max(1.0, squares / freedom) : 1.0;
-  result.covariance = factor * solver.solve(Matrix6d::Identity());
+  if (freedom > 0) result.variance_factor = squares / freedom;
+  result.covariance = std::max(1.0, result.variance_factor) * solver.solve(Matrix6d::Identity());
   return result;
 }
 

@@ -19,6 +19,11 @@ namespace {
 
 constexpr double kRadians = std::numbers::pi / 180;
 
+// Neighbouring pairs share pixels of the corners' surroundings and of the stereo windows, so that their errors are not
+// independent: the residuals' variance counts this much. Measured on rendered sequences with strong image noise: the
+// normalised squared error of the motions, 6 on average if the covariance is right, is 8.6 to 9.8 without this factor.
+constexpr double kShared = 1.5;
+
 // Closed form with the spherical model: each pair weighs the inverse of its points' variances (4.10).
 std::optional<Pose> spherical_guess(const std::vector<PointPair>& pairs, const RectifiedCamera& camera,
                                     double pixel_error) {
@@ -157,7 +162,8 @@ void refine(TracedMotion& motion, std::vector<Correspondence> correspondences, c
   }
   if (!well_determined(at, correspondences, camera, options)) return;
   estimate.prev_from_cur = at;
-  estimate.covariance = minimised.covariance;
+  const double factor = minimised.variance_factor;
+  estimate.covariance = minimised.covariance * (std::max(1.0, kShared * factor) / std::max(1.0, factor));
   estimate.status = MotionStatus::ok;
   motion.used = std::move(correspondences);
 }

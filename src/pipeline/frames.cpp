@@ -7,10 +7,13 @@
 
 #include <map>
 #include <memory>
+#include <opencv2/imgcodecs.hpp>
 
+#include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
 #include "iris/motion/chain.h"
+#include "iris/motion/motion_picture.h"
 #include "iris/stereo/search_range.h"
 
 namespace iris::pipeline {
@@ -122,13 +125,21 @@ std::vector<motion::MotionChain::Restored> restore_frames(const FrameStream& str
     restored[i] = {.frame_idx = item.frame_idx,
                    .features = std::move(item.features),
                    .world_from_cam = records[i].submap_from_cam,
-                   .submap = records[i].submap};
+                   .submap = records[i].submap,
+                   .guessed = records[i].motion.status == MotionStatus::guessed};
   };
   const int count = static_cast<int>(records.size());
   parallel_chunks(0, count, random_access ? 1 : std::max(1, count), [&](int begin, int end) {
     for (int i = begin; i < end; ++i) restore(i);
   });
   return restored;
+}
+
+void write_motion_picture(const std::filesystem::path& folder, const motion::ViewFeatures& current,
+                          const motion::ChainStep& step, int frame_idx, const RectifiedCamera& camera) {
+  std::vector<uint8_t> png;
+  IRIS_CHECK(cv::imencode(".png", motion::motion_picture(current, step, camera), png));
+  write_file(folder / fmt::format("{:06d}.png", frame_idx), png);
 }
 
 std::vector<std::string> run_frames(const session::Session& session, const Options& options,
@@ -147,7 +158,7 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
   int last_view_submap = -1;
   if (first > 0) {
     spdlog::info("frames: going on behind frame {} of {}", first, session.size());
-    chain.restore(restore_frames(stream, workspace.last_posed_frames(options.motion.retry_views + 1), session.folder(),
+    chain.restore(restore_frames(stream, workspace.last_posed_frames(chain.kept_views()), session.folder(),
                                  session.random_access()),
                   workspace.submap_count());
     if (const auto view = workspace.last_view_frame()) {
@@ -196,8 +207,19 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
     record.motion = step.estimate;
     if (step.new_submap && step.submap > 0) {
       spdlog::warn(
-          "frame {}: no motion against the last {} views ({} usable corners, {} consistent); sub-map {} begins",
-          item->frame_idx, options.motion.retry_views, step.estimate.corners, step.estimate.consistent, step.submap);
+          "frame {}: no motion against the last {} views ({}: {} usable corners, {} consistent); sub-map {} begins",
+          item->frame_idx, chain.kept_views(), name_of(step.estimate.status), step.estimate.corners,
+          step.estimate.consistent, step.submap);
+    } else if (step.rescued) {
+      spdlog::info("frame {}: motion found against frame {} by SIFT and weak corners ({} pairs)", item->frame_idx,
+                   step.reference_frame, step.estimate.used);
+    } else if (step.estimate.status == MotionStatus::guessed) {
+      spdlog::warn("frame {}: no motion against the last {} views; the motion before it is continued as a guess",
+                   item->frame_idx, chain.kept_views());
+    }
+    if (!options.motion_pictures.empty()) {
+      write_motion_picture(options.motion_pictures, *chain.view(item->frame_idx), step, item->frame_idx,
+                           stream.camera());
     }
     ++registered;
     if (stereo::fraction_at_limit(item->disparity, stream.stereo_options()) > kMaxAtLimit) ++at_limit;

@@ -401,11 +401,12 @@ PoseGraph Workspace::pose_graph(const Pose& world_from_submap) const {
                            .world_from_cam = world_from_submap * record.submap_from_cam,
                            .submap = record.submap});
     if (record.reference_frame >= 0) {
-      graph.edges.push_back({.i = record.reference_frame,
-                             .j = record.frame_idx,
-                             .i_from_j = record.motion.prev_from_cur,
-                             .information = record.motion.covariance.inverse(),
-                             .kind = PoseEdgeKind::odometry});
+      graph.edges.push_back(
+          {.i = record.reference_frame,
+           .j = record.frame_idx,
+           .i_from_j = record.motion.prev_from_cur,
+           .information = record.motion.covariance.inverse(),
+           .kind = record.motion.status == MotionStatus::guessed ? PoseEdgeKind::guessed : PoseEdgeKind::odometry});
     }
   });
   return graph;

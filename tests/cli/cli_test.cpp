@@ -305,6 +305,22 @@ TEST_F(Cli, InfoTellsOfSessionsAndOutputs) {
   EXPECT_THAT(made.output, AllOf(HasSubstr("14 with a pose"), HasSubstr("1 sub-maps"), HasSubstr("model/scene.glb")));
 }
 
+TEST_F(Cli, DebugMotionWritesAPictureOfEachFrame) {
+  const fs::path out = fresh("debug_motion");
+  auto arguments = run_arguments(session(), out);
+  arguments.push_back("--debug-motion");
+  ASSERT_EQ(run_program(arguments).exit_code, 0);
+  int pictures = 0;
+  for (const auto& entry : fs::directory_iterator(out / "debug/motion")) pictures += entry.path().extension() == ".png";
+  EXPECT_EQ(pictures, 14);
+  fs::remove_all(out / "debug");
+  expect_equal_products(reference(), out);  // they change nothing else
+  const auto again = run_program(arguments);
+  EXPECT_EQ(again.exit_code, 0);
+  EXPECT_THAT(again.output, HasSubstr("found by an earlier run"));
+  EXPECT_THAT(run_program({"info", out.string()}).output, HasSubstr("13 motions, never less than"));
+}
+
 TEST_F(Cli, ARecordingOfABareWallIsNoBug) {
   const fs::path bare = copied("bare"), out = fresh("bare_out");
   for (const auto& entry : fs::recursive_directory_iterator(bare)) {

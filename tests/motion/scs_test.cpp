@@ -8,6 +8,7 @@
 #include <random>
 
 #include "iris/motion/chain.h"
+#include "iris/motion/motion_picture.h"
 #include "support/synthetic_views.h"
 
 namespace iris::motion {
@@ -334,29 +335,109 @@ TEST_F(Chain, RetriesEarlierViews) {
   EXPECT_TRUE(impatient.push(views()[1], 12).new_submap);
 }
 
+// Turned by 40 degrees about the optical axis: too much for Rank patches, too little for a quarter turn.
+TEST_F(Chain, RescuesByKeypointsWhatPatchesCannotMatch) {
+  ScsOptions options;
+  const Pose start = world(0), end = pose({-0.15, 0.02, -1.42}, 6, -2, 42);
+  const ViewFeatures prev = views()[0], cur = features_at(end, options);
+  ASSERT_NE(estimate_motion(prev, cur, kCamera, options).status, MotionStatus::ok);
+  MotionChain chain(kCamera, options);
+  chain.push(prev, 0);
+  const ChainStep step = chain.push(cur, 1);
+  EXPECT_TRUE(step.rescued);
+  EXPECT_EQ(step.estimate.status, MotionStatus::ok);
+  EXPECT_EQ(step.reference_frame, 0);
+  EXPECT_EQ(static_cast<int>(step.used.size()), step.estimate.used);
+  const Pose error = (start.inverse() * end).inverse() * step.estimate.prev_from_cur;
+  EXPECT_LT(error.translation().norm(), 0.01);
+  EXPECT_LT(rotation_angle(error), 0.1 * kDegree);
+  options.rescue = false;
+  MotionChain without(kCamera, options);
+  without.push(prev, 0);
+  EXPECT_TRUE(without.push(cur, 1).new_submap);
+}
+
+TEST_F(Chain, GuessesOnlyIfAskedAndSaysSo) {
+  ScsOptions options;
+  options.guess = true;
+  options.retry_views = 2;
+  MotionChain chain(kCamera, options);
+  std::vector<ChainStep> steps;
+  for (const int view : {0, 1, 2, 3, 4}) steps.push_back(chain.push(views()[view], view));
+  EXPECT_EQ(steps[2].estimate.status, MotionStatus::ok);
+  EXPECT_EQ(steps[3].estimate.status, MotionStatus::guessed);  // the empty wall
+  EXPECT_EQ(steps[3].reference_frame, 2);
+  EXPECT_FALSE(steps[3].new_submap);
+  // The motion before it, once more.
+  const Pose motion = steps[1].world_from_cam.inverse() * steps[2].world_from_cam;
+  EXPECT_LT((steps[3].estimate.prev_from_cur.matrix() - motion.matrix()).norm(), 1e-12);
+  EXPECT_LT((steps[3].world_from_cam.matrix() - (steps[2].world_from_cam * motion).matrix()).norm(), 1e-12);
+  // Its error is within what it claims.
+  EXPECT_LT(deviations(steps[3].estimate, world(2).inverse() * world(3)), 3);
+  // The view behind is measured against one in front of the guess.
+  EXPECT_EQ(steps[4].estimate.status, MotionStatus::ok);
+  EXPECT_EQ(steps[4].reference_frame, 2);
+  // With a frame left out, twice the motion; and not for ever.
+  MotionChain blind(kCamera, options);
+  for (const int view : {0, 1}) blind.push(views()[view], view);
+  const ChainStep first = blind.push(views()[3], 3);
+  EXPECT_EQ(first.estimate.status, MotionStatus::guessed);
+  const Pose once = steps[1].estimate.prev_from_cur;
+  EXPECT_LT((first.estimate.prev_from_cur.translation() - 2 * once.translation()).norm(), 1e-12);
+  EXPECT_NEAR(rotation_angle(first.estimate.prev_from_cur), 2 * rotation_angle(once), 1e-9);
+  EXPECT_EQ(blind.push(views()[3], 4).estimate.status, MotionStatus::guessed);
+  EXPECT_TRUE(blind.push(views()[3], 5).new_submap);
+}
+
+TEST_F(Chain, PicturesShowWhatAMotionWasMadeOf) {
+  MotionChain chain(kCamera, {});
+  chain.push(views()[0], 0);
+  const ChainStep step = chain.push(views()[1], 1);
+  ASSERT_NE(chain.view(1), nullptr);
+  EXPECT_EQ(chain.view(7), nullptr);
+  const cv::Mat3b picture = motion_picture(*chain.view(1), step, kCamera);
+  ASSERT_EQ(picture.size(), cv::Size(800, 600));
+  // Green circles only where pairs were used, around their points in the current view.
+  const cv::Mat3b used = picture(cv::Rect(400, 300, 400, 300));
+  int drawn = 0;
+  for (const Correspondence& c : step.used) {
+    const Eigen::Vector3d p = kCamera.project(c.cur_point);
+    const cv::Rect around(static_cast<int>(p.x()) - 4, static_cast<int>(p.y()) - 4, 10, 10);
+    if (around.y < 60) continue;  // the captions
+    int green = 0;
+    for (const cv::Vec3b& v : cv::Mat3b(used(around))) green += v[1] > v[0] + 60 && v[1] > v[2] + 60;
+    drawn += green > 0;
+  }
+  EXPECT_GT(drawn, 0.5 * static_cast<double>(step.used.size()));
+}
+
 TEST_F(Chain, GoesOnBitByBitAfterARestart) {
   ScsOptions options;
   options.retry_views = 2;
-  MotionChain whole(kCamera, options);
-  std::vector<ChainStep> steps;
-  for (int i = 0; i < 8; ++i) steps.push_back(whole.push(views()[i], i));
-  for (int cut = 1; cut < 8; ++cut) {
-    MotionChain chain(kCamera, options);
-    std::vector<MotionChain::Restored> last;
-    for (int i = std::max(0, cut - 3); i < cut; ++i) {
-      last.push_back({i, views()[i], steps[i].world_from_cam, steps[i].submap});
-    }
-    int submaps = 0;
-    for (int i = 0; i < cut; ++i) submaps += steps[i].new_submap;
-    chain.restore(last, submaps);
-    for (int i = cut; i < 8; ++i) {
-      const ChainStep step = chain.push(views()[i], i);
-      EXPECT_TRUE(equal_bits(step.world_from_cam, steps[i].world_from_cam)) << cut << " " << i;
-      EXPECT_EQ(step.submap, steps[i].submap);
-      EXPECT_EQ(step.new_submap, steps[i].new_submap);
-      EXPECT_EQ(step.reference_frame, steps[i].reference_frame);
-      EXPECT_EQ(step.estimate.used, steps[i].estimate.used);
-      EXPECT_EQ(step.estimate.rms_px, steps[i].estimate.rms_px);
+  for (const bool guess : {false, true}) {
+    options.guess = guess;
+    MotionChain whole(kCamera, options);
+    std::vector<ChainStep> steps;
+    for (int i = 0; i < 8; ++i) steps.push_back(whole.push(views()[i], i));
+    for (int cut = 1; cut < 8; ++cut) {
+      MotionChain chain(kCamera, options);
+      std::vector<MotionChain::Restored> last;
+      for (int i = std::max(0, cut - 3); i < cut; ++i) {
+        last.push_back({i, views()[i], steps[i].world_from_cam, steps[i].submap,
+                        steps[i].estimate.status == MotionStatus::guessed});
+      }
+      int submaps = 0;
+      for (int i = 0; i < cut; ++i) submaps += steps[i].new_submap;
+      chain.restore(last, submaps);
+      for (int i = cut; i < 8; ++i) {
+        const ChainStep step = chain.push(views()[i], i);
+        EXPECT_TRUE(equal_bits(step.world_from_cam, steps[i].world_from_cam)) << cut << " " << i;
+        EXPECT_EQ(step.submap, steps[i].submap);
+        EXPECT_EQ(step.new_submap, steps[i].new_submap);
+        EXPECT_EQ(step.reference_frame, steps[i].reference_frame);
+        EXPECT_EQ(step.estimate.used, steps[i].estimate.used);
+        EXPECT_EQ(step.estimate.rms_px, steps[i].estimate.rms_px);
+      }
     }
   }
 }

@@ -1,20 +1,25 @@
-// Chains the motions between views into poses (thesis 5.3.4, eq. 5.5). Never chains a guess: where no motion to an
-// earlier view is found, a new sub-map begins.
+// Chains the motions between views into poses (thesis 5.3.4, eq. 5.5). What to do about a failed motion, in order: the
+// last few views, many more corners and SIFT, then (only if asked for) the last motion continued, then a new sub-map.
 #pragma once
 
 #include <deque>
+#include <optional>
 #include <vector>
 
+#include "iris/motion/rescue.h"
 #include "iris/motion/scs.h"
 
 namespace iris::motion {
 
 struct ChainStep {
-  MotionEstimate estimate;   // against reference_frame; its status is not ok for the first view of a sub-map
-  int reference_frame = -1;  // frame_idx of the earlier view; -1: none
-  Pose world_from_cam = Pose::Identity();  // world = first camera of the sub-map
-  int submap = 0;                          // counts from 0
-  bool new_submap = false;                 // this view is the first of its sub-map
+  // Against reference_frame; its status is ok, or guessed. For the first view of a sub-map: why there is none.
+  MotionEstimate estimate;
+  std::vector<Correspondence> initial, consistent, used;  // of that estimate
+  int reference_frame = -1;                               // frame_idx of the earlier view; -1: none
+  Pose world_from_cam = Pose::Identity();                 // world = first camera of the sub-map
+  int submap = 0;                                         // counts from 0
+  bool new_submap = false;                                // this view is the first of its sub-map
+  bool rescued = false;                                   // found by the second attempt (rescue.h)
 };
 
 class MotionChain {
@@ -25,23 +30,38 @@ class MotionChain {
     ViewFeatures features;
     Pose world_from_cam = Pose::Identity();
     int submap = 0;
+    bool guessed = false;  // by its estimate's status
   };
 
   MotionChain(const RectifiedCamera& camera, const ScsOptions& options) : camera_(camera), options_(options) {}
 
-  // Goes on after earlier views, in their order: with the last retry_views + 1 of them (or all, if fewer) exactly as if
-  // it had never been interrupted. `submaps`: how many sub-maps there are so far.
+  // Goes on after earlier views, in their order: with the last kept_views() of them (or all, if fewer) exactly as if it
+  // had never been interrupted. `submaps`: how many sub-maps there are so far.
   void restore(std::vector<Restored> last_views, int submaps);
+
+  // How many views the chain remembers.
+  int kept_views() const { return options_.retry_views + 1; }
 
   // The pose of the next view. Its motion is estimated against the previous view and, if that fails, against up to
   // retry_views earlier ones, most recent first. They may belong to an earlier sub-map: a few spoilt views (blur, a
   // hand before the lens) become a sub-map of their own and the path goes on behind them.
   ChainStep push(ViewFeatures features, int frame_idx);
 
+  // The features of the view pushed last or of its reference_frame; null if there is no such view.
+  const ViewFeatures* view(int frame_idx) const;
+
  private:
+  struct View : Restored {
+    std::optional<RescueFeatures> rescue;  // made when first needed
+  };
+
+  bool find_motion(const ViewFeatures& features, ChainStep& step);
+  bool rescue(const ViewFeatures& features, ChainStep& step);
+  bool guess(int frame_idx, ChainStep& step) const;
+
   RectifiedCamera camera_;
   ScsOptions options_;
-  std::deque<Restored> views_;  // the last retry_views + 1
+  std::deque<View> views_;  // the last kept_views(), one more after a push
   int submaps_ = 0;
 };
 

@@ -34,6 +34,7 @@ struct MinimisedMotion {
   bool converged = false;
   Pose prev_from_cur = Pose::Identity();
   Matrix6d covariance = Matrix6d::Zero();  // as in MotionEstimate
+  double variance_factor = 1;              // of the residuals, in units of what pixel_error lets expect
   int iterations = 0;
 };
 

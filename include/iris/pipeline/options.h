@@ -1,6 +1,8 @@
 // The options of all stages of the library.
 #pragma once
 
+#include <filesystem>
+
 #include "iris/core/options.h"
 #include "iris/mapping/flog.h"
 #include "iris/motion/scs.h"
@@ -20,6 +22,8 @@ struct Options {
   mapping::FlogOptions mapping;
   render::DsnvOptions render{.step = 2};  // the pictures of a tour pass by: half the time for 0.6 dB less
   tour::TourOptions tour;
+  std::filesystem::path motion_pictures;  // folder for a picture of each frame's motion; empty = none. Not a declared
+                                          // option: it changes no result
 
   void declare(OptionSet& set) {
     session.declare(set);

@@ -14,7 +14,7 @@ struct PoseNode {
   int submap = 0;                          // poses of different sub-maps have no known relation
 };
 
-enum class PoseEdgeKind { odometry, loop };
+enum class PoseEdgeKind { odometry, loop, guessed };  // guessed: not measured, its information is next to nothing
 
 // Nodes are named by their frame_idx.
 struct PoseEdge {

@@ -1,7 +1,9 @@
 #include "borders.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdint>
 #include <cstdlib>
 #include <vector>
 
@@ -35,33 +37,36 @@ void find_steps(const float* disparity, int width, float min_step, std::vector<S
   }
 }
 
-class Row {
+// The rows of both images that take part in the borders of one row, and what they say.
+class Rows {
  public:
-  Row(const cv::Mat1b& left, const cv::Mat1b& right, int y, const BorderParameters& p)
-      : left_(left), right_(right), y_(y), p_(p) {}
+  Rows(int width, const BorderParameters& p)
+      : width_(width), p_(p), left_(p.rows), right_(p.rows), with_before_(padded(p)), with_after_(padded(p)) {}
 
-  // Sum over the rows of the capped differences between column x_left and column x_right. Images continue with their
-  // border pixels.
-  int difference(int x_left, int x_right) const {
-    const int a = std::clamp(x_left, 0, left_.cols - 1), b = std::clamp(x_right, 0, right_.cols - 1);
-    int sum = 0;
-    for (int v = y_ - p_.rows / 2; v <= y_ + p_.rows / 2; ++v) {
-      const int row = std::clamp(v, 0, left_.rows - 1);
-      sum += std::min(p_.cap, std::abs(left_(row, a) - right_(row, b)));
+  // Images continue with their border rows.
+  void move_to(const cv::Mat1b& left, const cv::Mat1b& right, int y) {
+    for (int i = 0; i < p_.rows; ++i) {
+      const int row = std::clamp(y - p_.rows / 2 + i, 0, left.rows - 1);
+      left_[i] = left[row];
+      right_[i] = right[row];
     }
-    return sum;
   }
 
   // The new place of a border, at most `reach` away and inside [low, high].
-  int place(const Step& step, int low, int high) const {
+  int place(const Step& step, int low, int high) {
     const int d_before = static_cast<int>(std::lround(step.before));
     const int d_after = static_cast<int>(std::lround(step.after));
     const int begin = std::max(low, step.x - p_.reach), end = std::min(high, step.x + p_.reach);
     // The image in which both sides are adjacent: with u for its columns and a border at u = x - shift, the pixels
     // before the border are explained by the disparity `before`, those from it on by `after`.
     const bool left_border = d_after > d_before;
-    const auto explained = [&](int u, int d) { return left_border ? difference(u + d, u) : difference(u, u - d); };
     const int shift = left_border ? d_after : 0;
+    const bool support = p_.criterion == BorderCriterion::support;
+    // `halves` looks at the `half` columns on either side of the border as well.
+    const int half = support ? 0 : p_.reach + 1;
+    const int u0 = begin - half - shift, columns = end - begin + 2 * half;
+    explain(u0, d_before, left_border, columns, with_before_.data());
+    explain(u0, d_after, left_border, columns, with_after_.data());
     int best = step.x, lowest = -1;
     const auto consider = [&](int x, int value) {  // of equal places the one next to where the border was
       if (lowest < 0 || value < lowest || (value == lowest && std::abs(x - step.x) < std::abs(best - step.x))) {
@@ -69,32 +74,60 @@ class Row {
         lowest = value;
       }
     };
-    if (p_.criterion == BorderCriterion::support) {
-      int sum = 0;
-      for (int u = begin - shift; u < end - shift; ++u) sum += explained(u, d_after);
-      for (int x = begin; x <= end; ++x) {
-        consider(x, sum);
-        sum += explained(x - shift, d_before) - explained(x - shift, d_after);
-      }
-    } else {
-      const int half = p_.reach + 1;
-      for (int x = begin; x <= end; ++x) {
-        int before = 0, after = 0;
-        for (int k = 0; k < half; ++k) {
-          before += explained(x - shift - 1 - k, d_before);
-          after += explained(x - shift + k, d_after);
-        }
-        consider(x, std::abs(before - after));
-      }
+    // before: sum over the columns that are explained by `before`; after: by `after`.
+    int before = 0, after = 0;
+    for (int i = 0; i < half; ++i) before += with_before_[i];
+    for (int i = half; i < (support ? columns : 2 * half); ++i) after += with_after_[i];
+    for (int i = 0; begin + i <= end; ++i) {
+      consider(begin + i, support ? before + after : std::abs(before - after));
+      if (begin + i == end) break;
+      before += with_before_[half + i] - (support ? 0 : with_before_[i]);
+      after += (support ? 0 : with_after_[2 * half + i]) - with_after_[half + i];
     }
     return best;
   }
 
  private:
-  const cv::Mat1b& left_;
-  const cv::Mat1b& right_;
-  int y_;
+  static constexpr int kBlock = 8;  // columns summed up together
+
+  static size_t padded(const BorderParameters& p) { return static_cast<size_t>(4 * p.reach + 2 + kBlock); }
+
+  // sums[i]: of the capped differences, over the rows, of column u0 + i of the image in which both sides are adjacent
+  // and its partner at disparity d. Images continue with their border columns.
+  void explain(int u0, int d, bool in_right, int columns, int* sums) const {
+    const int x_left = in_right ? u0 + d : u0, x_right = in_right ? u0 : u0 - d;
+    const int whole = (columns + kBlock - 1) / kBlock * kBlock;
+    if (std::min(x_left, x_right) >= 0 && std::max(x_left, x_right) + whole <= width_) {
+      for (int i = 0; i < columns; i += kBlock) explain_block(x_left + i, x_right + i, sums + i);
+      return;
+    }
+    for (int i = 0; i < columns; ++i) {
+      const int a = std::clamp(x_left + i, 0, width_ - 1), b = std::clamp(x_right + i, 0, width_ - 1);
+      sums[i] = 0;
+      for (int k = 0; k < p_.rows; ++k) sums[i] += std::min(p_.cap, std::abs(left_[k][a] - right_[k][b]));
+    }
+  }
+
+  // kBlock columns inside of the images, in a form that compilers turn into vectors.
+  void explain_block(int x_left, int x_right, int* sums) const {
+    const int16_t cap = static_cast<int16_t>(std::min(p_.cap, 255));
+    std::array<int16_t, kBlock> sum{};
+    for (int k = 0; k < p_.rows; ++k) {
+      const uint8_t* const a = left_[k] + x_left;
+      const uint8_t* const b = right_[k] + x_right;
+      for (int i = 0; i < kBlock; ++i) {
+        const int16_t difference = static_cast<int16_t>(a[i] - b[i]);
+        const int16_t magnitude = std::max<int16_t>(difference, static_cast<int16_t>(-difference));
+        sum[i] = static_cast<int16_t>(sum[i] + std::min(magnitude, cap));
+      }
+    }
+    for (int i = 0; i < kBlock; ++i) sums[i] = sum[i];
+  }
+
+  int width_;
   const BorderParameters& p_;
+  std::vector<const uint8_t*> left_, right_;
+  std::vector<int> with_before_, with_after_;  // what each side's disparity explains badly, a column
 };
 
 }  // namespace
@@ -102,18 +135,19 @@ class Row {
 cv::Mat1f correct_borders(const cv::Mat1b& left, const cv::Mat1b& right, const cv::Mat1f& disparity,
                           const BorderParameters& p) {
   IRIS_CHECK(left.size() == right.size() && left.size() == disparity.size());
-  IRIS_CHECK(p.min_step >= 1 && p.reach >= 0 && p.rows % 2 == 1 && p.cap >= 0);
+  IRIS_CHECK(p.min_step >= 1 && p.reach >= 0 && p.rows % 2 == 1 && p.rows <= 127 && p.cap >= 0);
   cv::Mat1f out = disparity.clone();
   parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
     std::vector<Step> steps;
+    Rows rows(disparity.cols, p);
     for (int y = y0; y < y1; ++y) {
       find_steps(disparity[y], disparity.cols, static_cast<float>(p.min_step), steps);
-      const Row row(left, right, y, p);
+      if (!steps.empty()) rows.move_to(left, right, y);
       for (size_t i = 0; i < steps.size(); ++i) {
         // Borders do not pass each other.
         const int low = i == 0 ? 1 : (steps[i - 1].x + steps[i].x + 1) / 2;
         const int high = i + 1 == steps.size() ? disparity.cols - 1 : (steps[i].x + steps[i + 1].x) / 2;
-        const int x = row.place(steps[i], std::min(low, steps[i].x), std::max(high, steps[i].x));
+        const int x = rows.place(steps[i], std::min(low, steps[i].x), std::max(high, steps[i].x));
         std::fill(out[y] + std::min(x, steps[i].x), out[y] + steps[i].x, steps[i].after);
         std::fill(out[y] + steps[i].x, out[y] + std::max(x, steps[i].x), steps[i].before);
       }

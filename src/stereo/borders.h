@@ -16,7 +16,7 @@ struct BorderParameters {
   BorderCriterion criterion = BorderCriterion::support;
   int min_step = 2;  // [px] smaller steps of disparity are no borders; >= 1
   int reach = 4;     // [px] by how much a border may be moved; half of a correlation window
-  int rows = 3;      // height of what is compared, odd
+  int rows = 3;      // height of what is compared, odd, <= 127
   int cap = 10;      // [grey levels] most that one pixel's difference counts
 };
 

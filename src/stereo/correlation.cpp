@@ -12,7 +12,7 @@
 // and a window's sum follows from the one to its left. The rows of a block are worked on in tiles of columns, so that
 // what must be kept from row to row stays in the cache; with x for the column and d for the candidate:
 //   pixels[row][x][d]   what each pixel contributes, for the rows inside of the windows (8 bits);
-//   columns[x][d]       sum over the window's height, updated from row to row;
+//   columns[x][d]       sum over the window's height, updated from row to row (8 bits if they suffice);
 //   windows[row][x][d]  sum over the whole window, for the rows that SAD5 needs;
 //   costs[x][d]         SAD5 of the last kGroup columns.
 // In one go along a row, each column goes through all of these steps up to the winner.
@@ -149,8 +149,9 @@ struct Lowest {
 };
 
 // C0 + the two lowest of the four supporting windows (3.1). The two lowest are either both upper, both lower, or the
-// lower one of each: four comparisons (A.3). Sums saturate: kNone stays kNone. no_candidate: kNone where the candidate
-// does not exist, 0 elsewhere.
+// lower one of each: four comparisons (A.3). Sums saturate: kNone stays kNone. If vectors reach beyond the last
+// candidate (kPadded), no_candidate is kNone there, 0 elsewhere.
+template <bool kPadded>
 HWY_INLINE void sad5(const Windows windows, const uint16_t* HWY_RESTRICT no_candidate, int end,
                      uint16_t* HWY_RESTRICT cost, Lowest* HWY_RESTRICT lowest) {
   const Tag16 d16;
@@ -163,7 +164,8 @@ HWY_INLINE void sad5(const Windows windows, const uint16_t* HWY_RESTRICT no_cand
     const auto c = hn::Load(d16, windows.lower_left + d), e = hn::Load(d16, windows.lower_right + d);
     const auto mixed = hn::SaturatedAdd(hn::Min(a, b), hn::Min(c, e));
     const auto two = hn::Min(hn::Min(hn::SaturatedAdd(a, b), hn::SaturatedAdd(c, e)), mixed);
-    const auto sum = hn::Or(hn::SaturatedAdd(hn::Load(d16, windows.middle + d), two), hn::LoadU(d16, no_candidate + d));
+    auto sum = hn::SaturatedAdd(hn::Load(d16, windows.middle + d), two);
+    if constexpr (kPadded) sum = hn::Or(sum, hn::LoadU(d16, no_candidate + d));
     hn::Store(sum, d16, cost + d);
     const auto lower = hn::Min(best, sum);
     second = hn::Min(second, hn::Max(best, sum));
@@ -207,11 +209,11 @@ HWY_INLINE Selected select_left(const Lowest& lowest, const uint16_t* cost, int 
 HWY_INLINE void search_right(const uint16_t* cost, ptrdiff_t cost_stride, int begin, int end, uint16_t* best,
                              uint16_t* best_d) {
   const Tag16 d16;
-  const auto one = hn::Set(d16, uint16_t{1});
+  const auto one = hn::Set(d16, uint16_t{1}), lane = hn::Iota(d16, 0);
   for (int i = begin; i < end; i += static_cast<int>(hn::Lanes(d16))) {
     auto b = hn::LoadU(d16, best + i);
     auto bd = hn::LoadU(d16, best_d + i);
-    auto d = hn::Iota(d16, static_cast<uint16_t>(i));
+    auto d = hn::Add(lane, hn::Set(d16, static_cast<uint16_t>(i)));
     for (int k = 0; k < kGroup; ++k) {
       const auto lower = hn::Min(b, hn::LoadU(d16, cost + i + k * (cost_stride + 1)));
       bd = hn::IfThenElse(hn::Eq(lower, b), bd, d);
@@ -223,33 +225,44 @@ HWY_INLINE void search_right(const uint16_t* cost, ptrdiff_t cost_stride, int be
   }
 }
 
-// Where the sums of one column are, at all candidates.
+// Where the sums of one column are, at all candidates. Sum: uint8_t or uint16_t.
+template <class Sum>
 struct Column {
   const uint8_t* right;       // at the first candidate
   uint8_t* pixel;             // contributions of the row that leaves the window; replaced by those that enter
-  uint16_t* sums;             // over the window's height
-  const uint16_t* leaves;     // sums of the column that leaves the window
-  uint16_t* running;          // sums over the window one column before
+  Sum* sums;                  // over the window's height
+  const Sum* leaves;          // sums of the column that leaves the window
+  const uint16_t* before;     // sums over the window one column before; may be `window`
   uint16_t* window;           // sums over the window
   const uint8_t* from_first;  // masks of the existing candidates
   const uint8_t* to_last;
 };
 
-template <bool kMasked, bool kWindows, class Cost>
-HWY_INLINE void move_column(const Cost& cost, const Column c, int end) {
+// As many sums as a vector of 16-bit numbers holds.
+HWY_INLINE Vec16 load_sums(const uint16_t* sums) { return hn::Load(Tag16(), sums); }
+HWY_INLINE Vec16 load_sums(const uint8_t* sums) {
+  return hn::PromoteTo(Tag16(), hn::Load(hn::Rebind<uint8_t, Tag16>(), sums));
+}
+
+template <bool kMasked, bool kWindows, class Cost, class Sum>
+HWY_INLINE void move_column(const Cost& cost, const Column<Sum> c, int end) {
   const Tag16 d16;
   const Tag8 d8;
   const hn::Rebind<uint8_t, Tag16> half8;
-  uint16_t* HWY_RESTRICT const sums = c.sums;
-  uint16_t* HWY_RESTRICT const running = c.running;
-  uint16_t* HWY_RESTRICT const window = c.window;
-  const auto update = [&](hn::Vec<decltype(half8)> in, hn::Vec<decltype(half8)> out, int d) {
-    const auto sum = hn::Sub(hn::Add(hn::Load(d16, sums + d), hn::PromoteTo(d16, in)), hn::PromoteTo(d16, out));
-    hn::Store(sum, d16, sums + d);
+  using Half8 = hn::Vec<decltype(half8)>;
+  [[maybe_unused]] const int lanes = static_cast<int>(hn::Lanes(d16));
+  Sum* HWY_RESTRICT const sums = c.sums;
+  const auto to_window = [&](Vec16 sum, int d) {
     if constexpr (kWindows) {
-      const auto whole = hn::Add(hn::Load(d16, running + d), hn::Sub(sum, hn::Load(d16, c.leaves + d)));
-      hn::Store(whole, d16, running + d);
-      hn::Store(whole, d16, window + d);
+      const auto whole = hn::Add(hn::Load(d16, c.before + d), hn::Sub(sum, load_sums(c.leaves + d)));
+      hn::Store(whole, d16, c.window + d);
+    }
+  };
+  const auto update = [&](Half8 in, Half8 out, int d) {
+    if constexpr (sizeof(Sum) == 2) {
+      const auto sum = hn::Sub(hn::Add(hn::Load(d16, sums + d), hn::PromoteTo(d16, in)), hn::PromoteTo(d16, out));
+      hn::Store(sum, d16, sums + d);
+      to_window(sum, d);
     }
   };
   for (int d = 0; d < end; d += static_cast<int>(hn::Lanes(d8))) {
@@ -257,17 +270,27 @@ HWY_INLINE void move_column(const Cost& cost, const Column c, int end) {
     if constexpr (kMasked) in = hn::And(in, hn::And(hn::LoadU(d8, c.from_first + d), hn::LoadU(d8, c.to_last + d)));
     const auto out = hn::Load(d8, c.pixel + d);
     hn::Store(in, d8, c.pixel + d);
+    if constexpr (sizeof(Sum) == 1) {
+      const auto sum = hn::Add(hn::Load(d8, sums + d), hn::Sub(in, out));  // modulo 256
+      hn::Store(sum, d8, sums + d);
 #if HWY_TARGET == HWY_SCALAR
-    update(in, out, d);
+      to_window(hn::PromoteTo(d16, sum), d);
 #else
-    const int lanes = static_cast<int>(hn::Lanes(d16));
-    update(hn::LowerHalf(half8, in), hn::LowerHalf(half8, out), d);
-    if (d + lanes < end) update(hn::UpperHalf(half8, in), hn::UpperHalf(half8, out), d + lanes);
+      to_window(hn::PromoteTo(d16, hn::LowerHalf(half8, sum)), d);
+      if (d + lanes < end) to_window(hn::PromoteTo(d16, hn::UpperHalf(half8, sum)), d + lanes);
 #endif
+    } else {
+#if HWY_TARGET == HWY_SCALAR
+      update(in, out, d);
+#else
+      update(hn::LowerHalf(half8, in), hn::LowerHalf(half8, out), d);
+      if (d + lanes < end) update(hn::UpperHalf(half8, in), hn::UpperHalf(half8, out), d + lanes);
+#endif
+    }
   }
 }
 
-template <class Cost>
+template <class Cost, class Sum>
 void correlate_rows(const CorrelationBlock& block) {
   const CorrelationParameters& p = block.parameters;
   const Tag16 d16;
@@ -281,11 +304,13 @@ void correlate_rows(const CorrelationBlock& block) {
   const ptrdiff_t ring_stride = stride * n_windows, ring_stride8 = stride8 * n_columns;
   const ptrdiff_t cost_stride = stride + 2 * kMaxLanes;
   const auto pixels = hwy::AllocateAligned<uint8_t>(ring_stride8 * ring);
-  const auto columns_store = hwy::AllocateAligned<uint16_t>(stride * (n_columns + 2 * rx + 1));
-  uint16_t* const columns = columns_store.get() + stride * (2 * rx + 1);  // zeros before it
+  const ptrdiff_t column_stride = sizeof(Sum) == 1 ? stride8 : stride;
+  const auto columns_store = hwy::AllocateAligned<Sum>(column_stride * (n_columns + 2 * rx + 1));
+  Sum* const columns = columns_store.get() + column_stride * (2 * rx + 1);  // zeros before it
   const auto windows = hwy::AllocateAligned<uint16_t>(ring_stride * ring);
-  const auto unused = hwy::AllocateAligned<uint16_t>(stride);  // windows that nobody asks for
+  // Sums over the window one column before: there, or here if they are not kept or have been scaled since.
   const auto running = hwy::AllocateAligned<uint16_t>(stride);
+  const uint16_t* before = running.get();
   const auto costs_store = hwy::AllocateAligned<uint16_t>(cost_stride * (kGroup + 1));
   uint16_t* const costs = costs_store.get() + kMaxLanes;
   std::fill(costs - kMaxLanes, costs - kMaxLanes + cost_stride * (kGroup + 1), Correlation::kNone);
@@ -318,7 +343,7 @@ void correlate_rows(const CorrelationBlock& block) {
     const int x1 = std::min(x0 + block.tile, block.width);
     const int x_columns = x0 - 2 * rx, x_windows = x0 - rx;  // image column of index 0
     std::fill(pixels.get(), pixels.get() + ring_stride8 * ring, uint8_t{0});
-    std::fill(columns_store.get(), columns + stride * n_columns, uint16_t{0});
+    std::fill(columns_store.get(), columns + column_stride * n_columns, Sum{0});
     std::fill(windows.get(), windows.get() + ring_stride * ring, Correlation::kNone);
 
     // The sums of column x for the windows of the row above become those of the row whose windows end at image row
@@ -326,16 +351,16 @@ void correlate_rows(const CorrelationBlock& block) {
     const auto move = [&]<bool kWindows>(int row, int x, uint16_t* window) {
       const int inside = std::clamp(row, 0, block.height - 1);
       const Cost cost(*block.left, inside, x, block.right_plane, p.cap);
-      uint16_t* const sums = columns + stride * (x - x_columns);
+      Sum* const sums = columns + column_stride * (x - x_columns);
       const int first = first_candidate(x), last = last_candidate(x);
-      const Column column = {.right = block.right + block.right_stride * inside - (x - p.min_disparity),
-                             .pixel = pixels.get() + ring_stride8 * slot[row + ry] + stride8 * (x - x_columns),
-                             .sums = sums,
-                             .leaves = sums - stride * (2 * rx + 1),
-                             .running = running.get(),
-                             .window = window,
-                             .from_first = mask.data() + stride8 - first,
-                             .to_last = mask.data() + 2 * stride8 - (last + 1)};
+      const Column<Sum> column = {.right = block.right + block.right_stride * inside - (x - p.min_disparity),
+                                  .pixel = pixels.get() + ring_stride8 * slot[row + ry] + stride8 * (x - x_columns),
+                                  .sums = sums,
+                                  .leaves = sums - column_stride * (2 * rx + 1),
+                                  .before = before,
+                                  .window = window,
+                                  .from_first = mask.data() + stride8 - first,
+                                  .to_last = mask.data() + 2 * stride8 - (last + 1)};
       if (first == 0 && last == p.disparities - 1) {
         move_column<false, kWindows>(cost, column, candidates_end[x]);
       } else {
@@ -348,18 +373,17 @@ void correlate_rows(const CorrelationBlock& block) {
       const int x = x_end - rx;
       const bool wanted = x >= x_windows && x >= 0 && x < block.width;
       uint16_t* const window =
-          wanted ? windows.get() + ring_stride * slot[y + ry] + stride * (x - x_windows) : unused.get();
+          wanted ? windows.get() + ring_stride * slot[y + ry] + stride * (x - x_windows) : running.get();
       const int end = candidates_end[x_end];
       if (x_end >= block.width) {
-        const uint16_t* const leaves = columns + stride * (x_end - x_columns - (2 * rx + 1));
+        const Sum* const leaves = columns + column_stride * (x_end - x_columns - (2 * rx + 1));
         for (int d = 0; d < end; d += lanes) {
-          const auto whole = hn::Sub(hn::Load(d16, running.get() + d), hn::Load(d16, leaves + d));
-          hn::Store(whole, d16, running.get() + d);
-          hn::Store(whole, d16, window + d);
+          hn::Store(hn::Sub(hn::Load(d16, before + d), load_sums(leaves + d)), d16, window + d);
         }
       } else {
         move.template operator()<true>(y + ry, x_end, window);
       }
+      before = window;
       if (!wanted) return;
       const int first = first_candidate(x), last = last_candidate(x);
       const auto scale = [&](int d) {  // a cut window
@@ -375,6 +399,9 @@ void correlate_rows(const CorrelationBlock& block) {
       const bool inside = x >= rx && x + rx < block.width;
       const int whole_begin = inside ? std::clamp(first_candidate(x + rx), first, last + 1) : last + 1;
       const int whole_end = inside ? std::clamp(last_candidate(x - rx) + 1, whole_begin, last + 1) : last + 1;
+      if (whole_begin == 0 && whole_end == p.disparities) return;
+      std::copy(window, window + end, running.get());
+      before = running.get();
       for (int d = first; d < whole_begin; ++d) scale(d);
       for (int d = whole_end; d <= last; ++d) scale(d);
       std::fill(window, window + std::min(first, end), Correlation::kNone);
@@ -424,6 +451,7 @@ void correlate_rows(const CorrelationBlock& block) {
       const uint16_t* const upper = window_row(y - ry);
       const uint16_t* const lower = window_row(y + ry);
       std::fill(running.get(), running.get() + stride, uint16_t{0});
+      before = running.get();
       for (int x_end = std::max(0, x_columns); x_end < x1 + 2 * rx; ++x_end) {
         if (y_windows < block.height) window_column(y_windows, x_end);
         const int x = x_end - 2 * rx;
@@ -435,7 +463,12 @@ void correlate_rows(const CorrelationBlock& block) {
                                 .upper_right = upper + right_side,
                                 .lower_left = lower + left_side,
                                 .lower_right = lower + right_side};
-        sad5(around, no_candidate.data(), candidates_end[x], costs + cost_stride * in_group, &lowest[in_group]);
+        uint16_t* const cost = costs + cost_stride * in_group;
+        if (stride > p.disparities) {
+          sad5<true>(around, no_candidate.data(), candidates_end[x], cost, &lowest[in_group]);
+        } else {
+          sad5<false>(around, nullptr, candidates_end[x], cost, &lowest[in_group]);
+        }
         if (in_group == kGroup - 1 || x == x1 - 1) select(y, x - in_group, x + 1);
       }
     }
@@ -448,10 +481,13 @@ void correlate_rows(const CorrelationBlock& block) {
 }
 
 void correlate_block(const CorrelationBlock& block) {
+  const CorrelationParameters& p = block.parameters;
   if (block.census) {
-    correlate_rows<CensusCost>(block);
+    correlate_rows<CensusCost, uint16_t>(block);
+  } else if (p.cap * p.window_height > 255) {
+    correlate_rows<DifferenceCost, uint16_t>(block);
   } else {
-    correlate_rows<DifferenceCost>(block);
+    correlate_rows<DifferenceCost, uint8_t>(block);
   }
 }
 

@@ -137,7 +137,10 @@ INSTANTIATE_TEST_SUITE_P(Sizes, CorrelationCases,
                                            Case{{77, 70}, {13, 0, 5, 3, 255}}, Case{{50, 12}, {80, 0, 7, 5, 60}},
                                            Case{{45, 10}, {12, -6, 3, 5, 100}}, Case{{45, 10}, {12, -40, 5, 5, 100}},
                                            Case{{45, 10}, {12, 9, 11, 1, 100}}, Case{{40, 8}, {7, 0, 1, 1, 255}},
-                                           Case{{40, 33}, {9, 0, 13, 15, 100}}));
+                                           Case{{40, 33}, {9, 0, 13, 15, 100}},
+                                           // Sums over a column that just fit into 8 bits, or just do not.
+                                           Case{{90, 12}, {32, 0, 7, 7, 36}}, Case{{110, 12}, {64, 0, 5, 5, 51}},
+                                           Case{{110, 12}, {64, 0, 5, 5, 52}}));
 
 TEST(Correlation, WideImagesInSeveralTilesAgreeWithTheDefinition) {
   cv::RNG random(4);

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdint>
 #include <limits>
 #include <vector>
 
+#include "iris/core/error.h"
 #include "iris/core/parallel.h"
 
 namespace iris::stereo {
@@ -61,78 +63,85 @@ bool hidden(const Neighbour& left, const Neighbour& right) {
 DisparityImage interpolate(const cv::Mat1f& disparity, const cv::Mat1b& corrected, const Segments& segments,
                            const InterpolationParameters& parameters) {
   const Interpolation mode = parameters.mode;
+  const int width = disparity.cols, height = disparity.rows;
+  IRIS_CHECK(height <= std::numeric_limits<int16_t>::max());
   const cv::Mat1i& label = segments.label;
   DisparityImage out;
   out.disparity = disparity.clone();
   out.origin.create(disparity.size());
   // Rows of the nearest valid pixels above and below, -1 = none.
-  cv::Mat1i above(disparity.size()), below(disparity.size());
+  cv::Mat1s above, below;
   if (mode != Interpolation::off) {
-    parallel_chunks(0, disparity.cols, kColumnsPerChunk, [&](int x0, int x1) {
-      std::vector<int> last(x1 - x0, -1);
-      for (int y = 0; y < disparity.rows; ++y) {
-        for (int x = x0; x < x1; ++x) {
-          last[x - x0] = label(y, x) >= 0 ? y : last[x - x0];
-          above(y, x) = last[x - x0];
-        }
-      }
-      std::fill(last.begin(), last.end(), -1);
-      for (int y = disparity.rows - 1; y >= 0; --y) {
-        for (int x = x0; x < x1; ++x) {
-          last[x - x0] = label(y, x) >= 0 ? y : last[x - x0];
-          below(y, x) = last[x - x0];
-        }
-      }
+    above.create(disparity.size());
+    below.create(disparity.size());
+    parallel_chunks(0, width, kColumnsPerChunk, [&](int x0, int x1) {
+      std::array<int16_t, kColumnsPerChunk> last;
+      const auto pass = [&](int y, int16_t* nearest) {
+        const int* const of_row = label[y] + x0;
+        for (int i = 0; i < x1 - x0; ++i) last[i] = of_row[i] >= 0 ? static_cast<int16_t>(y) : last[i];
+        std::copy_n(last.begin(), x1 - x0, nearest + x0);
+      };
+      last.fill(-1);
+      for (int y = 0; y < height; ++y) pass(y, above[y]);
+      last.fill(-1);
+      for (int y = height - 1; y >= 0; --y) pass(y, below[y]);
     });
   }
-  const auto neighbour = [&](int y, int x, int distance) { return Neighbour{disparity(y, x), label(y, x), distance}; };
-  const auto fill = [&](int y, int x, const Neighbour& left, const Neighbour& right) {
-    const int up = above(y, x), down = below(y, x);
-    const Neighbour top = up < 0 ? Neighbour{} : neighbour(up, x, y - up);
-    const Neighbour bottom = down < 0 ? Neighbour{} : neighbour(down, x, down - y);
-    const bool in_row = left.distance > 0 || right.distance > 0;
-    const bool in_column = up >= 0 || down >= 0;
-    if (!in_row && !in_column) return;
-    const bool within = left.segment >= 0 && left.segment == right.segment && left.segment == top.segment &&
-                        left.segment == bottom.segment;
-    if (!within && mode != Interpolation::everywhere) return;
-    float value;
-    if (!in_row) {
-      value = along_line(top, bottom).disparity;
-    } else if (!in_column || (parameters.left_from_right && left.distance == 0)) {
-      value = along_line(left, right).disparity;
-    } else if (parameters.hidden_strips && hidden(left, right)) {
-      value = left.disparity;
-    } else {
-      const Estimate row = along_line(left, right), column = along_line(top, bottom);
-      value = row.segment == column.segment ? 0.5f * (row.disparity + column.disparity)
-                                            : smallest({left, right, top, bottom}, parameters.second_smallest);
+  const auto neighbour = [&](int y, int x, int distance) { return Neighbour{disparity[y][x], label[y][x], distance}; };
+  // The pixels begin … end - 1 of a row, all invalid.
+  const auto fill = [&](int y, int begin, int end) {
+    const int16_t* const rows_above = above[y];
+    const int16_t* const rows_below = below[y];
+    float* const values = out.disparity[y];
+    uint8_t* const origins = out.origin[y];
+    Neighbour left = begin == 0 ? Neighbour{} : neighbour(y, begin - 1, 1);
+    Neighbour right = end == width ? Neighbour{} : neighbour(y, end, end - begin);
+    const bool in_row = begin > 0 || end < width;
+    const bool row_alone = in_row && parameters.left_from_right && begin == 0;
+    const bool strip = parameters.hidden_strips && hidden(left, right);  // depends on the sum of both distances
+    for (int x = begin; x < end; ++x) {
+      left.distance = begin == 0 ? 0 : x - begin + 1;
+      right.distance = end == width ? 0 : end - x;
+      const int up = rows_above[x], down = rows_below[x];
+      const bool in_column = up >= 0 || down >= 0;
+      if (!in_row && !in_column) continue;
+      const Neighbour top = up < 0 ? Neighbour{} : neighbour(up, x, y - up);
+      const Neighbour bottom = down < 0 ? Neighbour{} : neighbour(down, x, down - y);
+      const bool within = left.segment >= 0 && left.segment == right.segment && left.segment == top.segment &&
+                          left.segment == bottom.segment;
+      if (!within && mode != Interpolation::everywhere) continue;
+      float value;
+      if (!in_row) {
+        value = along_line(top, bottom).disparity;
+      } else if (!in_column || row_alone) {
+        value = along_line(left, right).disparity;
+      } else if (strip) {
+        value = left.disparity;
+      } else {
+        const Estimate row = along_line(left, right), column = along_line(top, bottom);
+        value = row.segment == column.segment ? 0.5f * (row.disparity + column.disparity)
+                                              : smallest({left, right, top, bottom}, parameters.second_smallest);
+      }
+      values[x] = value;
+      origins[x] = static_cast<uint8_t>(within ? DisparityOrigin::within_segment : DisparityOrigin::between_segments);
     }
-    out.disparity(y, x) = value;
-    out.origin(y, x) =
-        static_cast<uint8_t>(within ? DisparityOrigin::within_segment : DisparityOrigin::between_segments);
   };
-  parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
+  parallel_chunks(0, height, kRowsPerChunk, [&](int y0, int y1) {
+    std::vector<uint8_t> moved(width, 0);
     for (int y = y0; y < y1; ++y) {
-      for (int x = 0; x < disparity.cols; ++x) {
-        const bool moved = !corrected.empty() && corrected(y, x) != 0;
-        out.origin(y, x) = static_cast<uint8_t>(label(y, x) < 0 ? DisparityOrigin::none
-                                                : moved         ? DisparityOrigin::corrected
-                                                                : DisparityOrigin::measured);
+      const int* const of_row = label[y];
+      if (!corrected.empty()) std::copy_n(corrected[y], width, moved.begin());
+      uint8_t* const origins = out.origin[y];
+      for (int x = 0; x < width; ++x) {
+        const DisparityOrigin valid = moved[x] != 0 ? DisparityOrigin::corrected : DisparityOrigin::measured;
+        origins[x] = static_cast<uint8_t>(of_row[x] < 0 ? DisparityOrigin::none : valid);
       }
       if (mode == Interpolation::off) continue;
-      for (int x = 0; x < disparity.cols;) {
-        if (label(y, x) >= 0) {
-          ++x;
-          continue;
-        }
+      for (int x = 0; x < width;) {
+        while (x < width && of_row[x] >= 0) ++x;
         const int begin = x;
-        while (x < disparity.cols && label(y, x) < 0) ++x;
-        for (int i = begin; i < x; ++i) {
-          const Neighbour left = begin == 0 ? Neighbour{} : neighbour(y, begin - 1, i - begin + 1);
-          const Neighbour right = x == disparity.cols ? Neighbour{} : neighbour(y, x, x - i);
-          fill(y, i, left, right);
-        }
+        while (x < width && of_row[x] < 0) ++x;
+        if (begin < x) fill(y, begin, x);
       }
     }
   });

@@ -30,9 +30,6 @@ Eigen::Matrix4d matrix_of(const aiMatrix4x4& m) {
   return result;
 }
 
-// --- materials
-// --------------------------------------------------------------------------------------------------------
-
 // What of a material is used.
 struct Look {
   cv::Mat3b texture;
@@ -102,9 +99,6 @@ Look look_of(const aiScene& scene, const aiMaterial& material, const fs::path& p
   }
   return look;
 }
-
-// --- meshes
-// -----------------------------------------------------------------------------------------------------------
 
 TriangleMesh mesh_of(const aiMesh& mesh, const Eigen::Matrix4d& file_from_node, const Look& look) {
   TriangleMesh result{.texture = look.texture, .colour = look.colour};
@@ -195,9 +189,6 @@ std::vector<TriangleMesh> read_meshes(const fs::path& path) {
   }
   return meshes;
 }
-
-// --- glTF
-// -------------------------------------------------------------------------------------------------------------
 
 namespace {
 

@@ -11,8 +11,10 @@ namespace {
 
 bool is_known(float truth) { return truth > 0 && std::isfinite(truth); }
 
+constexpr double kNothing = std::numeric_limits<double>::quiet_NaN();
+
 double percent(int64_t part, int64_t whole) {
-  return whole > 0 ? 100.0 * static_cast<double>(part) / static_cast<double>(whole) : 0;
+  return whole > 0 ? 100.0 * static_cast<double>(part) / static_cast<double>(whole) : kNothing;
 }
 
 // What is next to a pixel along one line: the jump's kind and its distance (0 = the pixel touches it).
@@ -71,9 +73,9 @@ void SubpixelScore::add(const SubpixelScore& other) {
   absolute_sum += other.absolute_sum;
   square_sum += other.square_sum;
 }
-double SubpixelScore::mean() const { return count > 0 ? sum / static_cast<double>(count) : 0; }
-double SubpixelScore::absolute() const { return count > 0 ? absolute_sum / static_cast<double>(count) : 0; }
-double SubpixelScore::rms() const { return count > 0 ? std::sqrt(square_sum / static_cast<double>(count)) : 0; }
+double SubpixelScore::mean() const { return count > 0 ? sum / static_cast<double>(count) : kNothing; }
+double SubpixelScore::absolute() const { return count > 0 ? absolute_sum / static_cast<double>(count) : kNothing; }
+double SubpixelScore::rms() const { return count > 0 ? std::sqrt(square_sum / static_cast<double>(count)) : kNothing; }
 
 void DisparityScore::add(const DisparityScore& other) {
   images += other.images;

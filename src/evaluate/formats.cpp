@@ -157,6 +157,10 @@ std::vector<GraphEdge> parse_g2o_edges(std::string_view text, const fs::path& pa
     if (words.size() != 31) fail(path, line, "an edge needs 30 numbers", "write the file again");
     std::vector<double> v;
     for (size_t i = 1; i < words.size(); ++i) v.push_back(finite(words[i], path, line));
+    constexpr double kMost = 2147483647;
+    if (!(v[0] >= 0 && v[0] <= kMost && v[1] >= 0 && v[1] <= kMost)) {
+      fail(path, line, "an edge must begin and end at frames", "write the file again");
+    }
     GraphEdge edge{.i = static_cast<int>(v[0]), .j = static_cast<int>(v[1])};
     edge.i_from_j = pose_of({v.begin() + 2, v.begin() + 9}, path, line);
     auto value = v.begin() + 9;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
@@ -76,7 +77,8 @@ struct Registered {
 };
 
 double percent(int64_t part, int64_t whole) {
-  return whole > 0 ? 100.0 * static_cast<double>(part) / static_cast<double>(whole) : 0;
+  return whole > 0 ? 100.0 * static_cast<double>(part) / static_cast<double>(whole)
+                   : std::numeric_limits<double>::quiet_NaN();
 }
 
 }  // namespace
@@ -163,6 +165,7 @@ MapErrors evaluate_map(const GridMap& estimate, const GridMap& truth, const Pose
     ++errors.true_free;
     errors.found_free += near_free(registered.to_estimate(cell));
   });
+  if (distances.empty()) return errors;
   const Spread spread = spread_of(std::move(distances));
   errors.distance_mean = spread.mean;
   errors.distance_median = spread.median;

@@ -4,6 +4,7 @@
 #include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <optional>
 
 #include "iris/core/error.h"
@@ -231,7 +232,6 @@ TrajectoryErrors evaluate_trajectory(const Trajectory& estimate, const Trajector
   errors.alignment = align_positions(pairs, options.with_scale);
   errors.world_alignment = align_worlds(pairs, options.with_scale, errors.rotation_from_orientations);
   const double scale = align_positions(pairs, true).scale;
-  errors.scale_error = scale > 0 ? 1 / scale - 1 : 0;
 
   Matrix3d turns = Matrix3d::Zero();
   for (const PosePair& pair : pairs) {
@@ -254,6 +254,8 @@ TrajectoryErrors evaluate_trajectory(const Trajectory& estimate, const Trajector
     errors.estimated_path += (pairs[i].estimate.translation() - pairs[i - 1].estimate.translation()).norm();
   }
   errors.true_path = path.back();
+  const bool both_move = errors.true_path > 0 && errors.estimated_path > 0;
+  errors.scale_error = both_move && scale > 0 ? 1 / scale - 1 : std::numeric_limits<double>::quiet_NaN();
   errors.duration = time.back();
   errors.absolute = {spread_of(errors.translations), spread_of(errors.rotations)};
 

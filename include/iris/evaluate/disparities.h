@@ -27,7 +27,7 @@ struct RegionScore {
   int64_t outliers_kitti = 0;    // valid and off by more than 3 px and 5 %
   void add(const RegionScore& other);
 
-  // [%] of the pixels with truth.
+  // [%] of the pixels with truth; NaN if there are none.
   double density() const;
   double wrong(size_t threshold) const;             // valid, but bad
   double wrong_or_missing(size_t threshold) const;  // bad or invalid
@@ -40,6 +40,7 @@ struct SubpixelScore {
   double sum = 0, absolute_sum = 0, square_sum = 0;
   void add(double error);
   void add(const SubpixelScore& other);
+  // Of the `count` pixels; NaN if there are none.
   double mean() const;      // [px] estimate - truth
   double absolute() const;  // [px]
   double rms() const;       // [px]

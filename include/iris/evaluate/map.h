@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <opencv2/core.hpp>
 
 #include "iris/evaluate/formats.h"
@@ -52,9 +53,11 @@ struct MapErrors {
   int64_t true_free = 0;
   int64_t found_free = 0;  // an estimated free cell is within the tolerance
   // [m] from the estimated occupied cells that are judged to the nearest true occupied cell of any kind.
-  double distance_mean = 0, distance_median = 0, distance_rms = 0;
+  // NaN if there is none.
+  double distance_mean = std::numeric_limits<double>::quiet_NaN(), distance_median = distance_mean,
+         distance_rms = distance_mean;
 
-  // [%]; 0 if there is nothing to judge.
+  // [%]; NaN if there is nothing to judge.
   double occupied_precision() const;
   double occupied_recall() const;
   double free_precision() const;

@@ -63,7 +63,7 @@ struct MotionError {
 struct SegmentDrift {
   double length = 0;  // [m] of the true path
   int segments = 0;
-  double translation = 0;  // mean error / length
+  double translation = 0;  // [m / m] mean error / length
   double rotation = 0;     // [rad / m] mean error / length
 };
 
@@ -73,15 +73,16 @@ struct TrajectoryOptions {
 
 struct TrajectoryErrors {
   std::vector<PosePair> pairs;
-  int unmatched = 0;     // estimated poses without truth
-  double true_path = 0;  // [m] length along the pairs
-  double estimated_path = 0;
-  double duration = 0;  // [s]
+  int unmatched = 0;          // estimated poses without truth
+  double true_path = 0;       // [m] length along the pairs
+  double estimated_path = 0;  // [m]
+  double duration = 0;        // [s]
 
   Alignment alignment;                      // for the positions
   Alignment world_alignment;                // see align_worlds
   bool rotation_from_orientations = false;  // in world_alignment
-  double scale_error = 0;                   // estimated lengths are longer by this ratio (best similarity)
+  double scale_error = 0;                   // ratio by which estimated lengths are too long (best similarity); NaN
+                                            // if one of the two does not move
 
   // The camera of the truth may be turned by a constant rotation against the estimated one (recorded and rectified
   // camera): the mean of R_estimate^T R_alignment^T R_truth.
@@ -126,8 +127,8 @@ struct Consistency {
   double median = 0;                   // expected: 5.35
   double mean_low = 0, mean_high = 0;  // 95 % band of the mean
   double edge_low = 0, edge_high = 0;  // 95 % band of one edge
-  double share_within = 0;             // of the edges within their band; expected: 0.95
-  double share_above = 0;              // expected: 0.025
+  double share_within = 0;             // ratio of the edges within their band; expected: 0.95
+  double share_above = 0;              // ratio of those above it; expected: 0.025
   double translation_mean = 0;         // the same of each half; expected: 3
   double rotation_mean = 0;
   double translation_factor = 0;  // stated deviations must be multiplied by this for a mean of 3

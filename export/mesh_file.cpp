@@ -186,6 +186,11 @@ std::vector<TriangleMesh> read_meshes(const fs::path& path) {
     for (const Eigen::Vector3f& vertex : mesh.vertices) {
       if (!vertex.allFinite()) throw InputError(path, "has a vertex that is no number", "export the model again");
     }
+    for (const Eigen::Vector2f& coordinates : mesh.texture_coordinates) {
+      if (!coordinates.allFinite()) {
+        throw InputError(path, "has texture coordinates that are no numbers", "export the model again");
+      }
+    }
   }
   return meshes;
 }

@@ -7,11 +7,11 @@
 #include <cmath>
 #include <limits>
 #include <memory>
-#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
+#include "iris/workspace/view_files.h"
 
 namespace iris::exporters {
 namespace {
@@ -177,12 +177,10 @@ class SvgCanvas : public Canvas {
     text_ += fmt::format(">{}</text>\n", safe);
   }
   void image(const cv::Mat3b& pixels, double x, double y, double w, double h) override {
-    std::vector<unsigned char> png;
-    IRIS_CHECK(cv::imencode(".png", pixels, png));
     text_ += fmt::format(
         "<image x=\"{:.2f}\" y=\"{:.2f}\" width=\"{:.2f}\" height=\"{:.2f}\" preserveAspectRatio=\"none\" "
         "style=\"image-rendering:pixelated\" xlink:href=\"data:image/png;base64,{}\"/>\n",
-        x, y, w, h, base64(png));
+        x, y, w, h, base64(workspace::encode_png(pixels)));
   }
   void clip(double x, double y, double w, double h) override {
     text_ += fmt::format(

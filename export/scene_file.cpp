@@ -31,9 +31,6 @@ void SceneOptions::declare(OptionSet& set) {
 
 namespace {
 
-// --- thinning
-// ---------------------------------------------------------------------------------------------------------
-
 // Weighted sums of the points in each cube. Cubes are kept in the order of their first point; a table with open
 // addressing finds them.
 class VoxelGrid {
@@ -164,9 +161,6 @@ ThinnedPoints thin_points(const views::ViewStore& views, const SceneOptions& opt
   }
   return points;
 }
-
-// --- glTF
-// -------------------------------------------------------------------------------------------------------------
 
 struct Materials {
   int points, path, cameras;

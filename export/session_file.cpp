@@ -98,6 +98,13 @@ void write_session(const fs::path& folder, const simulate::Scene& scene, const s
                    const mapping::FlogOptions& mapping, const std::string& options_text,
                    const pipeline::RunControl& control) {
   const Simulator simulator(scene, simulate::make_path(scene, options), options);
+  const double cells = simulate::floor_plan_cells(scene, simulator, mapping.cell, mapping.layers);
+  if (cells > simulate::kMostFloorPlanCells) {
+    throw UsageError(
+        fmt::format("the true map of '{}' would have {:.0f} million cells of {:g} m; choose larger ones with "
+                    "--mapping.cell, or scale the model if its coordinates are not metres",
+                    scene.name, cells / 1e6, mapping.cell));
+  }
   check_folder(folder, options_text);
 
   const int frames = simulator.frames();

@@ -41,8 +41,7 @@ Command add_evaluate(CLI::App& program) {
   CLI::App* command = program.add_subcommand(
       "evaluate",
       "How near a result is to the truth. Of the output of a run: path, stated accuracy, disparities and map, as far "
-      "as "
-      "the truth knows them; of files: trajectories (TUM, KITTI), disparity images, maps of ROS, pictures.");
+      "as the truth knows them; of files: trajectories (TUM, KITTI), disparity images, maps of ROS, pictures.");
   auto state = std::make_shared<Evaluate>(*command);
   exporters::EvaluationRequest& request = state->request;
   command->add_option("RESULT", state->estimate, "Output folder of a run, or a file")
@@ -51,7 +50,8 @@ Command add_evaluate(CLI::App& program) {
   command->add_option("--truth", state->truth, "Session that holds truth/, its truth folder, or a file")
       ->type_name("SESSION|FILE")
       ->required();
-  command->add_option("-o,--output", state->plots, "Folder for plots, each as PNG and SVG")->type_name("DIR");
+  CLI::Option* plots =
+      command->add_option("-o,--output", state->plots, "Folder for plots, each as PNG and SVG")->type_name("DIR");
   command->add_option("--json", state->json, "All figures as JSON (lengths in m, angles in deg); - = to the terminal")
       ->type_name("FILE");
   command->add_option("--kind", request.kind, "What a file is; auto = by its name and content")
@@ -89,6 +89,7 @@ Command add_evaluate(CLI::App& program) {
       ->add_option("--view", request.views,
                    "Frames whose error pictures are drawn; otherwise first, middle and last view")
       ->type_name("N")
+      ->needs(plots)
       ->group("Disparities");
   command->add_option("--tolerance", request.map.tolerance, "Cells match within so many cells of the true plan")
       ->check(CLI::Range(0, 100))

@@ -1,14 +1,17 @@
 // iris simulate SCENE -o SESSION: a recording with known truth.
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <spdlog/spdlog.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <filesystem>
 #include <memory>
 
 #include "apps/iris/command.h"
 #include "export/mesh_file.h"
 #include "export/session_file.h"
+#include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
 #include "iris/simulate/scene.h"
@@ -24,15 +27,7 @@ struct Simulate {
   Arguments arguments;
 };
 
-// One of the made-up scenes, or a mesh file.
-simulate::Scene scene_of(const std::string& name, int seed) {
-  const std::filesystem::path file = name;
-  if (!std::filesystem::exists(file)) {
-    if (file.has_extension() || file.has_parent_path()) {
-      throw InputError(file, "there is no such file", "check the name, or give a scene that --help names");
-    }
-    return simulate::make_scene(name, seed);
-  }
+simulate::Scene scene_of_model(const std::filesystem::path& file) {
   std::vector<TriangleMesh> meshes = exporters::read_meshes(file);
   Eigen::AlignedBox3f box;
   for (const TriangleMesh& mesh : meshes) {
@@ -42,13 +37,23 @@ simulate::Scene scene_of(const std::string& name, int seed) {
     throw InputError(file, fmt::format("is {:.0f} m large", box.diagonal().norm()),
                      "scale the model to metres (it may be in millimetres)");
   }
-  return simulate::scene_from_meshes(std::move(meshes), name);
+  return simulate::scene_from_meshes(std::move(meshes), file.string());
 }
 
 int run(Simulate& state) {
   state.arguments.resolve();
   const simulate::SimulateOptions& options = state.arguments.simulate;
-  const simulate::Scene scene = scene_of(state.scene, options.seed);
+  // Names go before files: the session of 'boxes' may lie in a folder boxes.
+  const std::vector<std::string>& names = simulate::scene_names();
+  const bool is_model = std::find(names.begin(), names.end(), state.scene) == names.end();
+  if (is_model && !std::filesystem::exists(state.scene)) {
+    throw UsageError(fmt::format("there is neither a file nor a scene '{}'; the scenes are: {}", state.scene,
+                                 fmt::join(names, ", ")));
+  }
+  const simulate::Scene scene =
+      is_model ? scene_of_model(state.scene) : simulate::make_scene(state.scene, options.seed);
+  // A session is not continued with another version of the model.
+  const std::string model = is_model ? fmt::format("# model: {}\n", fingerprint(read_file(state.scene))) : "";
   const simulate::SimulatedPath path = simulate::make_path(scene, options);
   spdlog::info(
       "{}: path '{}', {:.1f} m in {:.1f} s{}", scene.name, path.name, path.length, path.seconds,
@@ -58,7 +63,7 @@ int run(Simulate& state) {
   }
   with_threads(state.arguments.threads(), [&] {
     exporters::write_session(state.out, scene, options, state.arguments.options.library.mapping,
-                             fmt::format("# iris simulate {} (version {})\n", state.scene, IRIS_VERSION) +
+                             fmt::format("# iris simulate {} (version {})\n", state.scene, IRIS_VERSION) + model +
                                  state.arguments.set.to_toml({"simulate", "mapping"}),
                              state.arguments.control());
   });

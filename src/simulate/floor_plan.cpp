@@ -1,5 +1,6 @@
 #include "iris/simulate/floor_plan.h"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -173,7 +174,26 @@ uint8_t above_each_other(uint8_t a, uint8_t b) {
   return rank(a) < rank(b) ? a : b;
 }
 
+// The rectangle (x, y) [m] that holds what stands still and the cameras; what rays pass outside of it is of no
+// interest.
+Eigen::AlignedBox2d rectangle_of(const Scene& scene, const Simulator& simulator) {
+  Eigen::AlignedBox2d box;
+  for (const SceneObject& object : scene.objects) {
+    if (object.world_from_object) continue;
+    for (const Eigen::Vector3f& vertex : object.mesh.vertices) box.extend(vertex.head<2>().cast<double>());
+  }
+  for (int i = 0; i < simulator.frames(); ++i) {
+    box.extend(simulator.world_from_left(i).translation().head<2>());
+  }
+  return box;
+}
+
 }  // namespace
+
+double floor_plan_cells(const Scene& scene, const Simulator& simulator, double cell, int layers) {
+  const Eigen::Vector2d size = rectangle_of(scene, simulator).sizes() / cell;
+  return layers * (std::floor(size.x()) + 2) * (std::floor(size.y()) + 2);
+}
 
 FloorPlan floor_plan(const Scene& scene, const Simulator& simulator, double cell,
                      const std::vector<double>& layer_bounds, double max_range) {
@@ -181,17 +201,10 @@ FloorPlan floor_plan(const Scene& scene, const Simulator& simulator, double cell
   IRIS_CHECK(std::is_sorted(layer_bounds.begin(), layer_bounds.end()));
   const int frames = simulator.frames();
 
-  // The rectangle that holds what stands still and the cameras; what rays pass outside of it is of no interest.
-  Eigen::Vector2d low = Eigen::Vector2d::Constant(std::numeric_limits<double>::infinity()), high = -low;
-  const auto include = [&](const Eigen::Vector3d& point) {
-    low = low.cwiseMin(point.head<2>());
-    high = high.cwiseMax(point.head<2>());
-  };
-  for (const SceneObject& object : scene.objects) {
-    if (object.world_from_object) continue;
-    for (const Eigen::Vector3f& vertex : object.mesh.vertices) include(vertex.cast<double>());
-  }
-  for (int i = 0; i < frames; ++i) include(simulator.world_from_left(i).translation());
+  const Eigen::AlignedBox2d rectangle = rectangle_of(scene, simulator);
+  const Eigen::Vector2d &low = rectangle.min(), &high = rectangle.max();
+  IRIS_CHECK(floor_plan_cells(scene, simulator, cell, static_cast<int>(layer_bounds.size()) - 1) <=
+             kMostFloorPlanCells);
   Cells cells;
   cells.cell = cell;
   cells.bounds = layer_bounds;

@@ -221,8 +221,9 @@ void Renderer::add_rows(const Tracer::Moment& moment, const View& view, int begi
         const float pz = from.z() - face.corner[2] + along * direction.z();
         float u = face.u0 + face.u[0] * px + face.u[1] * py + face.u[2] * pz;
         float v = face.v0 + face.v[0] * px + face.v[1] * py + face.v[2] * pz;
-        u = std::clamp(u - std::floor(u), 0.0f, 1.0f);
-        v = std::clamp(v - std::floor(v), 0.0f, 1.0f);
+        // In this order of arguments NaN, of texture coordinates beyond the range of float, becomes 0.
+        u = std::min(std::max(0.0f, u - std::floor(u)), 1.0f);
+        v = std::min(std::max(0.0f, v - std::floor(v)), 1.0f);
         // A ray stands for the square `spacing` on the plane z = 1; what that covers of the surface is stretched by
         // 1/slant in one direction. Half of that length is smoothed at least, since bilinear interpolation reaches one
         // texel to both sides; otherwise the area counts, so that slanted surfaces stay sharp in the other direction.

@@ -88,6 +88,15 @@ Scene scene_from_meshes(std::vector<TriangleMesh> meshes, const std::string& nam
     scene.objects.push_back({.mesh = std::move(mesh), .textured = textured});
   }
   if (box.isEmpty()) throw UsageError(fmt::format("'{}' has no triangle: there is nothing to see", name));
+  // Ways and true maps are laid through the whole scene in steps of centimetres.
+  constexpr double kSmallest = 0.001, kLargest = 1000;  // [m]
+  const double size = box.diagonal().norm();
+  if (!(size >= kSmallest && size <= kLargest)) {
+    throw UsageError(
+        fmt::format("'{}' is {:g} m large; coordinates are metres, and a scene has {:g} m to {:g} m: scale the "
+                    "model (from millimetres by 0.001)",
+                    name, size, kSmallest, kLargest));
+  }
   const Vector3 middle = box.center();
   double free = std::numeric_limits<double>::max();
   for (const SceneObject& object : scene.objects) {
@@ -97,7 +106,7 @@ Scene scene_from_meshes(std::vector<TriangleMesh> meshes, const std::string& nam
     }
   }
   free = std::sqrt(free);
-  const double reach = box.diagonal().norm() / 2;
+  const double reach = size / 2;
   ScenePlaces& places = scene.places;
   if (free > 0.1 * reach) {
     places.circle_centre = middle;

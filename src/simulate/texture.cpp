@@ -167,9 +167,6 @@ std::vector<Octave> octaves(int width, int height, int coarsest, int finest, flo
   return result;
 }
 
-// --- surfaces
-// ---------------------------------------------------------------------------------------------------------
-
 Texture plaster(uint32_t seed, const cv::Vec3b& colour, double contrast, int pixels, double metres) {
   const cv::Mat1f noise = fractal_noise(pixels, pixels, octaves(pixels, pixels, pixels / 8, 2, 1.04f), seed);
   const Vec3f base = colour_of(colour);
@@ -379,9 +376,6 @@ Texture bark(uint32_t seed, int pixels) {
   return {paint(pixels, pixels, [&](int x, int y) { return Vec3f(68, 88, 108) * (1 + 0.22f * noise(y, x)); }), 0.8,
           0.8};
 }
-
-// --- pictures
-// ---------------------------------------------------------------------------------------------------------
 
 Texture landscape(uint32_t seed, double width, double height) {
   const int w = pixels_for(width, 0.0022), h = pixels_for(height, 0.0022);

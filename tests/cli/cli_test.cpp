@@ -222,6 +222,11 @@ TEST_F(Cli, WrongUsageIsExitCode2) {
   EXPECT_THAT(foreign.output, HasSubstr("--mapping.cell is no option of 'iris tour'"));
   EXPECT_EQ(run_program({"tour", reference().string(), "-o", "x.avi"}).exit_code, 2);
   EXPECT_EQ(run_program(run_arguments(session(), fresh("x"), {"--tour.width", "161"})).exit_code, 2);
+  // Error pictures need a folder.
+  EXPECT_EQ(run_program({"evaluate", reference().string(), "--truth", session().string(), "--view", "0"}).exit_code, 2);
+  const auto neither = run_program({"simulate", "castle", "-o", fresh("x").string()});
+  EXPECT_EQ(neither.exit_code, 2);
+  EXPECT_THAT(neither.output, AllOf(HasSubstr("neither a file nor a scene 'castle'"), HasSubstr("apartment")));
   EXPECT_EQ(run_program({"--help"}).exit_code, 0);
   EXPECT_THAT(run_program({"run", "--help"}).output, AllOf(HasSubstr("--stereo.disparities"), HasSubstr("px")));
 }
@@ -448,6 +453,8 @@ TEST_F(Cli, EvaluateComparesARunWithTheTruth) {
   ASSERT_EQ(result.exit_code, 0) << result.output;
   EXPECT_THAT(result.output,
               AllOf(HasSubstr("Trajectory"), HasSubstr("Disparities"), HasSubstr("Map"), HasSubstr("NEES")));
+  EXPECT_THAT(result.output.substr(0, result.output.find('\n')),
+              AllOf(HasSubstr("ATE"), HasSubstr("drift"), HasSubstr("wrong disparities"), HasSubstr("map precision")));
   const auto figures = nlohmann::json::parse(read_file(plots / "figures.json"));
   EXPECT_EQ(figures["trajectory"]["poses"], 14);
   EXPECT_LT(figures["trajectory"]["ate_rmse"].get<double>(), 0.005);

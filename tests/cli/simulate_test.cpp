@@ -59,7 +59,7 @@ TEST_F(SimulateCli, BadInputIsNamed) {
   check(simulate("boxes", out, {"--simulate.rays", "3"}), 2, "square");
   check(simulate("boxes", out, {"--simulate.fov", "140"}), 2, "simulate.lens = ideal");
   check({"simulate", "boxes", "-o", ""}, 2, "empty");
-  check(simulate("missing.obj", out), 3, "there is no such file");
+  check(simulate("missing.obj", out), 2, "neither a file nor a scene");
   const fs::path large = folder_.path() / "mm.obj";
   write_file(large, std::string_view("v 0 0 0\nv 4000 0 0\nv 0 3000 0\nf 1 2 3\n"));
   check(simulate(large.string(), out), 3, "millimetres");

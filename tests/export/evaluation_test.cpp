@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <random>
+#include <sstream>
 
 #include "export/trajectory_file.h"
 #include "iris/core/atomic_file.h"
@@ -210,6 +211,55 @@ TEST_F(EvaluationTest, PicturesWithHoles) {
   request.estimate = request.truth;
   EXPECT_TRUE(figures(request)["image"]["psnr"].is_null());  // infinite
   EXPECT_THAT(evaluate_files(request).text(), HasSubstr("infinite"));
+}
+
+TEST_F(EvaluationTest, TheTextBeginsWithTheMostImportantFiguresAndFitsATerminal) {
+  EvaluationRequest request{.estimate = file("estimate.txt", circle(0.98)), .truth = file("truth.tum", circle(1))};
+  const Evaluation evaluation = evaluate_files(request);
+  EXPECT_THAT(evaluation.summary(), AllOf(HasSubstr("position error (ATE) "), HasSubstr(", drift ")));
+  EXPECT_EQ(evaluation.text().substr(0, evaluation.summary().size()), evaluation.summary());
+  cv::Mat1w disparity(20, 30, uint16_t{10 * 256});
+  image("e.png", disparity);
+  image("occlusion.png", disparity);
+  const Evaluation pictures =
+      evaluate_files({.estimate = folder_.path() / "e.png", .truth = folder_.path() / "occlusion.png"});
+  for (const std::string& text : {evaluation.text(), pictures.text()}) {
+    std::istringstream lines(text);
+    for (std::string line; std::getline(lines, line);) EXPECT_LE(line.size(), 120u) << line;
+  }
+  Evaluation wordy;
+  wordy.sections.push_back({.name = "map", .title = "Map", .notes = {std::string(200, 'x') + " y z"}});
+  for (int i = 0; i < 100; ++i) wordy.sections[0].notes[0] += " word";
+  std::istringstream lines(wordy.text());
+  size_t longer = 0;
+  for (std::string line; std::getline(lines, line);) longer += line.size() > 120;
+  EXPECT_EQ(longer, 1u);  // a word is never broken
+}
+
+TEST_F(EvaluationTest, WhatWasNotComparedIsNoFigure) {
+  // An estimate without a single valid pixel has no sub-pixel error; a map without occupied cells no precision.
+  const fs::path truth = image("t.png", cv::Mat1w(20, 30, uint16_t{10 * 256}));
+  const fs::path empty = image("e.png", cv::Mat1w(20, 30, uint16_t{0}));
+  const auto disparities = figures({.estimate = empty, .truth = truth})["disparities"];
+  EXPECT_EQ(disparities["density"], 0);
+  EXPECT_TRUE(disparities["subpixel_rms"].is_null());
+  EXPECT_EQ(disparities["wrong_or_missing_1px"], 100);
+  image("free.png", cv::Mat1b(10, 20, uint8_t{254}));
+  const fs::path map = file("map.yaml", "image: free.png\nresolution: 0.1\norigin: [0, 0, 0]\n");
+  const auto json = figures({.estimate = map, .truth = map})["map"];
+  EXPECT_TRUE(json["occupied_precision"].is_null());
+  EXPECT_TRUE(json["distance_median"].is_null());
+  EXPECT_EQ(json["free_precision"], 100);
+  const fs::path coarse = file("coarse.yaml", "image: free.png\nresolution: 100\norigin: [0, 0, 0]\n");
+  EXPECT_THAT(problem({.estimate = map, .truth = coarse}), HasSubstr("resolution in both files"));
+  // 8 bits say nothing of the scale of an estimate, and --truth-scale is not about it.
+  const fs::path small = image("small.pgm", cv::Mat1b(20, 30, uint8_t{10}));
+  EXPECT_THAT(problem({.estimate = small, .truth = truth, .kind = "disparity", .truth_scale = 16}),
+              HasSubstr("16-bit PNG, or a PFM"));
+  // A camera that stands still has no scale.
+  const fs::path still = file("still.txt", "1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n3 0 0 0 0 0 0 1\n");
+  EXPECT_TRUE(figures({.estimate = still, .truth = still})["trajectory"]["scale_error"].is_null());
+  EXPECT_TRUE(figures({.estimate = still, .truth = still})["trajectory"]["closing_translation_percent"].is_null());
 }
 
 }  // namespace

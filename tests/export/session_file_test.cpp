@@ -139,5 +139,14 @@ TEST_F(SessionFile, RefusesAFolderThatHoldsSomethingElse) {
               ThrowsMessage<InputError>(HasSubstr("is no simulated session")));
 }
 
+// What would fill the memory at the end of the work is refused before it.
+TEST_F(SessionFile, RefusesATrueMapOfTooManyCells) {
+  simulate::SimulateOptions options = small_options();
+  const fs::path folder = temporary_.path() / "session";
+  EXPECT_THAT([&] { write_session(folder, scene_, options, {.cell = 1e-5}, "", {}); },
+              ThrowsMessage<UsageError>(HasSubstr("--mapping.cell")));
+  EXPECT_FALSE(fs::exists(folder));
+}
+
 }  // namespace
 }  // namespace iris::exporters

@@ -25,8 +25,13 @@ struct FloorPlan {
   cv::Mat1b combined;                 // over all layers: occupied (seen before unseen), else free, else unknown
 };
 
+// Number of cells that floor_plan works on, all layers together: a rectangle around all that stands still and the
+// cameras. A double, since it can exceed every integer.
+double floor_plan_cells(const Scene& scene, const Simulator& simulator, double cell, int layers);
+constexpr double kMostFloorPlanCells = 2e8;  // each is a byte, several times
+
 // Cells as mapping::FlogMap has them (cell bounds are multiples of `cell` in the world), seen from every frame up to
-// `max_range` [m].
+// `max_range` [m]. Requires floor_plan_cells within kMostFloorPlanCells.
 FloorPlan floor_plan(const Scene& scene, const Simulator& simulator, double cell,
                      const std::vector<double>& layer_bounds, double max_range);
 

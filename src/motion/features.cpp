@@ -100,6 +100,26 @@ RankPatch rank_patch(const cv::Mat1b& image, int x, int y) {
   return patch;
 }
 
+RankPatch grey_patch(const cv::Mat1b& image, int x, int y) {
+  IRIS_CHECK(x >= kBorder && y >= kBorder && x < image.cols - kBorder && y < image.rows - kBorder);
+  RankPatch patch{};
+  for (int j = 0; j < kPatchSize; ++j) {
+    std::copy_n(image[y - kPatchSize / 2 + j] + x - kPatchSize / 2, kPatchSize, patch.begin() + j * kPatchSize);
+  }
+  return patch;
+}
+
+cv::Mat1b laplacian_of_gaussian(const cv::Mat1b& image) {
+  constexpr double kGain = 8;
+  cv::Mat1f smooth, filtered;
+  image.convertTo(smooth, CV_32F);
+  cv::GaussianBlur(smooth, smooth, {}, 1.0);
+  cv::Laplacian(smooth, filtered, CV_32F);
+  cv::Mat1b result;
+  filtered.convertTo(result, CV_8U, kGain, 128);
+  return result;
+}
+
 double usable_disparity(const DisparityImage& disparity, double x, double y, const RectifiedCamera& camera,
                         const ScsOptions& options) {
   const int xi = static_cast<int>(std::lround(x)), yi = static_cast<int>(std::lround(y));
@@ -139,9 +159,11 @@ ViewFeatures extract_features(const cv::Mat1b& left_image, const DisparityImage&
     }
   }
   spread(candidates, rows * columns, options.max_corners);
+  const bool rank = options.compare == "rank";
+  const cv::Mat1b compared = rank ? left_image : laplacian_of_gaussian(left_image);
   for (const Candidate& candidate : candidates) {
     features.corners.push_back(candidate.corner);
-    features.patches.push_back(rank_patch(left_image, candidate.x, candidate.y));
+    features.patches.push_back((rank ? rank_patch : grey_patch)(compared, candidate.x, candidate.y));
   }
   return features;
 }

@@ -221,6 +221,10 @@ void ScsOptions::declare(OptionSet& set) {
   set.add("min_disparity", min_disparity, "px", 0.1, 1000,
           "corners with less disparity are too far away to help (5.3.1)");
   set.add(
+      "compare", compare, {"rank", "sad"},
+      "what the surroundings of corners are compared by: ranks of grey values bear perspective and brightness; sad, "
+      "differences of grey values after a Laplacian of Gaussian, is there for comparison (5.3.2)");
+  set.add(
       "max_refinement", max_refinement, "px", 0, 10,
       "a match whose position moves further than this when it is refined is only used if the others do not suffice");
   set.add("quarter_turns", quarter_turns,

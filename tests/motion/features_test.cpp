@@ -63,6 +63,35 @@ TEST(RankPatch, EqualsTheDefinition) {
   for (size_t i = kPatchSize * kPatchSize; i < patch.size(); ++i) EXPECT_EQ(patch[i], 0);
 }
 
+TEST(GreyPatch, IsThePartOfTheImage) {
+  const cv::Mat1b image = noise_image(60, 50, 2);
+  const RankPatch patch = grey_patch(image, 30, 20);
+  for (int row = 0; row < kPatchSize; ++row)
+    for (int column = 0; column < kPatchSize; ++column)
+      ASSERT_EQ(patch[row * kPatchSize + column], image(20 + row - 8, 30 + column - 8));
+}
+
+TEST(LaplacianOfGaussian, EqualsTheDefinition) {
+  const cv::Mat1b image = noise_image(40, 40, 7);
+  const cv::Mat1b filtered = laplacian_of_gaussian(image);
+  const auto smooth = [&](int x, int y) {
+    double sum = 0, weights = 0;
+    for (int v = -4; v <= 4; ++v) {
+      for (int u = -4; u <= 4; ++u) {
+        const double weight = std::exp(-(u * u + v * v) / 2.0);
+        sum += weight * image(y + v, x + u);
+        weights += weight;
+      }
+    }
+    return sum / weights;
+  };
+  for (int x = 15; x < 25; ++x) {
+    const double laplacian = smooth(x - 1, 20) + smooth(x + 1, 20) + smooth(x, 19) + smooth(x, 21) - 4 * smooth(x, 20);
+    // The Gaussian's mask may be cut at three pixels: 0.3 % of its weight.
+    EXPECT_NEAR(filtered(20, x), std::clamp(128 + 8 * laplacian, 0.0, 255.0), 3);
+  }
+}
+
 TEST(RankPatch, TurnsWithTheImage) {
   const cv::Mat1b image = noise_image(60, 50, 3);
   cv::Mat turned_image;
@@ -153,16 +182,19 @@ TEST(MatchCorners, FindsEveryCornerOfAShiftedImageAgain) {
   const DisparityImage disparity = constant_disparity(320, 240, 10);
   ScsOptions options;
   options.max_corners = 4000;
-  const ViewFeatures prev = extract_features(a, disparity, kCamera, options);
-  const ViewFeatures cur = extract_features(b, disparity, kCamera, options);
-  const auto matches = match_corners(prev, cur);
-  int right = 0;
-  for (const auto& [i, j] : matches) {
-    right +=
-        std::abs(prev.corners[i].x - 20 - cur.corners[j].x) + std::abs(prev.corners[i].y - cur.corners[j].y) < 1e-6;
+  for (const char* compare : {"rank", "sad"}) {
+    options.compare = compare;
+    const ViewFeatures prev = extract_features(a, disparity, kCamera, options);
+    const ViewFeatures cur = extract_features(b, disparity, kCamera, options);
+    const auto matches = match_corners(prev, cur);
+    int right = 0;
+    for (const auto& [i, j] : matches) {
+      right +=
+          std::abs(prev.corners[i].x - 20 - cur.corners[j].x) + std::abs(prev.corners[i].y - cur.corners[j].y) < 1e-6;
+    }
+    EXPECT_GT(right, 0.85 * static_cast<double>(std::min(prev.corners.size(), cur.corners.size()))) << compare;
+    EXPECT_GT(right, 0.95 * static_cast<double>(matches.size())) << compare;
   }
-  EXPECT_GT(right, 0.85 * static_cast<double>(std::min(prev.corners.size(), cur.corners.size())));
-  EXPECT_GT(right, 0.95 * static_cast<double>(matches.size()));
 }
 
 }  // namespace

@@ -13,7 +13,8 @@
 
 namespace iris::motion {
 
-// The surroundings of a corner, Rank transformed: 17x17 values row by row, then zeros up to a multiple of 16 bytes.
+// The surroundings of a corner, Rank transformed (or, with motion.compare = sad, after a Laplacian of Gaussian): 17x17
+// values row by row, then zeros up to a multiple of 16 bytes.
 constexpr int kPatchSize = 17;   // [px] window of the comparison
 constexpr int kRankWindow = 11;  // [px] window of the Rank transform
 using RankPatch = std::array<uint8_t, 304>;
@@ -48,5 +49,11 @@ cv::Mat1f harris_response(const cv::Mat1b& image);
 // The Rank transform (number of pixels of the 11x11 window that are darker than its centre) in the 17x17 pixels around
 // (x, y), which must be at least 13 px inside the image.
 RankPatch rank_patch(const cv::Mat1b& image, int x, int y);
+
+// The 17x17 grey values around (x, y).
+RankPatch grey_patch(const cv::Mat1b& image, int x, int y);
+
+// Laplacian of a Gaussian of 1 px, times 8, around the value 128: what grey patches are taken from.
+cv::Mat1b laplacian_of_gaussian(const cv::Mat1b& image);
 
 }  // namespace iris::motion

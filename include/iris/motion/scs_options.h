@@ -16,6 +16,7 @@ struct ScsOptions {
   double min_strength = 1.0;   // [(grey levels/px)^4] least Harris response
   double min_disparity = 4.0;  // [px] corners farther away than this have no useful depth
   // Correspondences (5.3.2).
+  std::string compare = "rank";  // how surroundings are compared: rank|sad; sad is there for fig. 5.5
   double max_refinement =
       1.5;                    // [px] matches whose refinement moves further are used only if the others do not suffice
   bool quarter_turns = true;  // after a failure, also try the current view turned by 90, 180 and 270 degrees

@@ -6,6 +6,7 @@
 
 #include <Eigen/Geometry>
 #include <cstdlib>
+#include <limits>
 #include <opencv2/imgcodecs.hpp>
 
 #include "iris/core/atomic_file.h"
@@ -211,6 +212,18 @@ TEST_F(MeshFile, PassesTheGltfValidator) {
   EXPECT_EQ(problems(two_meshes(), 0), "");
   EXPECT_EQ(problems({two_meshes()[1]}, 90), "");
   EXPECT_EQ(problems({}, 90), "");
+}
+
+TEST_F(MeshFile, TextureCoordinatesThatAreNoNumbersAreRefused) {
+  TriangleMesh mesh{.texture = pattern()};
+  mesh.vertices = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
+  mesh.triangles = {{0, 1, 2}};
+  mesh.texture_coordinates = {{0, 0}, {1, 0}, {0, 1}};
+  write_glb(folder_ / "good.glb", {mesh});
+  EXPECT_EQ(read_meshes(folder_ / "good.glb").size(), 1u);
+  mesh.texture_coordinates[1].x() = std::numeric_limits<float>::quiet_NaN();
+  write_glb(folder_ / "nan.glb", {mesh});
+  EXPECT_THROW(read_meshes(folder_ / "nan.glb"), InputError);
 }
 
 }  // namespace

@@ -3,7 +3,6 @@
 #include <fmt/ranges.h>
 #include <spdlog/spdlog.h>
 
-#include <Eigen/Geometry>
 #include <algorithm>
 #include <filesystem>
 #include <memory>
@@ -19,26 +18,11 @@
 namespace iris::app {
 namespace {
 
-constexpr double kLargestScene = 1000;  // [m] across: what is larger is hardly meant in metres
-
 struct Simulate {
   explicit Simulate(CLI::App& command) : arguments(command, {"simulate", "mapping"}) {}
   std::string scene, out;
   Arguments arguments;
 };
-
-simulate::Scene scene_of_model(const std::filesystem::path& file) {
-  std::vector<TriangleMesh> meshes = exporters::read_meshes(file);
-  Eigen::AlignedBox3f box;
-  for (const TriangleMesh& mesh : meshes) {
-    for (const Eigen::Vector3f& vertex : mesh.vertices) box.extend(vertex);
-  }
-  if (box.diagonal().norm() > kLargestScene) {
-    throw InputError(file, fmt::format("is {:.0f} m large", box.diagonal().norm()),
-                     "scale the model to metres (it may be in millimetres)");
-  }
-  return simulate::scene_from_meshes(std::move(meshes), file.string());
-}
 
 int run(Simulate& state) {
   state.arguments.resolve();
@@ -50,8 +34,8 @@ int run(Simulate& state) {
     throw UsageError(fmt::format("there is neither a file nor a scene '{}'; the scenes are: {}", state.scene,
                                  fmt::join(names, ", ")));
   }
-  const simulate::Scene scene =
-      is_model ? scene_of_model(state.scene) : simulate::make_scene(state.scene, options.seed);
+  const simulate::Scene scene = is_model ? simulate::scene_from_meshes(exporters::read_meshes(state.scene), state.scene)
+                                         : simulate::make_scene(state.scene, options.seed);
   // A session is not continued with another version of the model.
   const std::string model = is_model ? fmt::format("# model: {}\n", fingerprint(read_file(state.scene))) : "";
   const simulate::SimulatedPath path = simulate::make_path(scene, options);

@@ -87,15 +87,13 @@ Scene scene_from_meshes(std::vector<TriangleMesh> meshes, const std::string& nam
     const bool textured = !mesh.texture.empty() && !mesh.texture_coordinates.empty();
     scene.objects.push_back({.mesh = std::move(mesh), .textured = textured});
   }
-  if (box.isEmpty()) throw UsageError(fmt::format("'{}' has no triangle: there is nothing to see", name));
+  if (box.isEmpty()) throw InputError(name, "has no triangle: there is nothing to see", "give a model with faces");
   // Ways and true maps are laid through the whole scene in steps of centimetres.
   constexpr double kSmallest = 0.001, kLargest = 1000;  // [m]
   const double size = box.diagonal().norm();
   if (!(size >= kSmallest && size <= kLargest)) {
-    throw UsageError(
-        fmt::format("'{}' is {:g} m large; coordinates are metres, and a scene has {:g} m to {:g} m: scale the "
-                    "model (from millimetres by 0.001)",
-                    name, size, kSmallest, kLargest));
+    throw InputError(name, fmt::format("is {:g} m large; a scene has {:g} m to {:g} m", size, kSmallest, kLargest),
+                     "scale the model to metres (from millimetres by 0.001)");
   }
   const Vector3 middle = box.center();
   double free = std::numeric_limits<double>::max();

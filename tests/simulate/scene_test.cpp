@@ -478,11 +478,11 @@ TEST(Scenes, AnyMeshIsAScene) {
   ASSERT_EQ(object.places.look_at.size(), 1u);
   const SimulatedPath path = make_path(object, {});
   EXPECT_GT(path.world_from_cam(1).translation().head<2>().norm(), std::sqrt(3));
-  EXPECT_THROW(scene_from_meshes({}, "empty"), UsageError);
+  EXPECT_THROW(scene_from_meshes({}, "empty"), InputError);
   // Millimetres taken for metres, a point, and what float can no longer tell apart.
-  EXPECT_THROW(scene_from_meshes({cube(4000)}, "mm.obj"), UsageError);
-  EXPECT_THROW(scene_from_meshes({cube(1e-6)}, "point.obj"), UsageError);
-  EXPECT_THROW(scene_from_meshes({cube(1e20)}, "huge.obj"), UsageError);
+  EXPECT_THROW(scene_from_meshes({cube(4000)}, "mm.obj"), InputError);
+  EXPECT_THROW(scene_from_meshes({cube(1e-6)}, "point.obj"), InputError);
+  EXPECT_THROW(scene_from_meshes({cube(1e20)}, "huge.obj"), InputError);
 }
 
 }  // namespace

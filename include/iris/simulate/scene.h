@@ -54,8 +54,8 @@ Scene make_scene(const std::string& name, int seed);
 
 // A scene from any surface, z up; it stands still. Its places come from the bounding box and from what is free at its
 // middle (at half of its height): a room is seen from a circle there and from free movement; what fills its middle is
-// an object, which the camera circles around and looks at. Throws UsageError if there is no triangle, or
-// if the scene is smaller than 1 mm or larger than 1 km (a model that is not in metres).
+// an object, which the camera circles around and looks at. Throws InputError that names `name` if there is no triangle,
+// or if the scene is smaller than 1 mm or larger than 1 km (a model that is not in metres).
 Scene scene_from_meshes(std::vector<TriangleMesh> meshes, const std::string& name);
 
 // The way of the left camera (as recorded: x right, y down, z forward).

@@ -408,6 +408,25 @@ void correlate_rows(const CorrelationBlock& block) {
       if (last + 1 < p.disparities) std::fill(window + last + 1, window + end, Correlation::kNone);
     };
 
+    // The same for columns of which all candidates exist, for windows that are kept and not cut.
+    const int whole_begin = std::max({x0, 2 * rx, 2 * rx + p.min_disparity + p.disparities - 1});
+    const int whole_end = block.width + std::min(0, p.min_disparity);
+    const auto whole_column = [&](int y, int x_end) {
+      const int row = y + ry, inside = std::min(row, block.height - 1);
+      const Cost cost(*block.left, inside, x_end, block.right_plane, p.cap);
+      const ptrdiff_t i = x_end - x_columns;
+      const Column<Sum> column = {.right = block.right + block.right_stride * inside - (x_end - p.min_disparity),
+                                  .pixel = pixels.get() + ring_stride8 * slot[row + ry] + stride8 * i,
+                                  .sums = columns + column_stride * i,
+                                  .leaves = columns + column_stride * (i - (2 * rx + 1)),
+                                  .before = before,
+                                  .window = windows.get() + ring_stride * slot[y + ry] + stride * (x_end - x0),
+                                  .from_first = nullptr,
+                                  .to_last = nullptr};
+      move_column<false, true>(cost, column, static_cast<int>(stride));
+      before = column.window;
+    };
+
     const auto window_row = [&](int row) {
       return windows.get() + ring_stride * slot[std::clamp(row, 0, block.height - 1) + ry];
     };
@@ -453,7 +472,11 @@ void correlate_rows(const CorrelationBlock& block) {
       std::fill(running.get(), running.get() + stride, uint16_t{0});
       before = running.get();
       for (int x_end = std::max(0, x_columns); x_end < x1 + 2 * rx; ++x_end) {
-        if (y_windows < block.height) window_column(y_windows, x_end);
+        if (x_end >= whole_begin && x_end < whole_end && y_windows < block.height) {
+          whole_column(y_windows, x_end);
+        } else if (y_windows < block.height) {
+          window_column(y_windows, x_end);
+        }
         const int x = x_end - 2 * rx;
         if (y < block.y0 || x < x0) continue;
         const int in_group = (x - x0) % kGroup;

@@ -3,7 +3,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstring>
+#include <functional>
 #include <numeric>
+#include <utility>
 
 #include "iris/core/parallel.h"
 
@@ -21,7 +24,7 @@ void reject_ambiguous(const Correlation& correlation, int min_margin, cv::Mat1w&
       const uint16_t* second = correlation.second[y];
       uint16_t* w = winner[y];
       for (int x = 0; x < winner.cols; ++x) {
-        const bool ambiguous = second[x] == Correlation::kNone || second[x] - cost[x] < min_margin;
+        const bool ambiguous = (second[x] == Correlation::kNone) | (second[x] - cost[x] < min_margin);
         w[x] = ambiguous ? Correlation::kNone : w[x];
       }
     }
@@ -47,9 +50,8 @@ void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double t
       const uint16_t* from_right = right_winner[y];
       uint16_t* w = winner[y];
       for (int x = 0; x < winner.cols; ++x) {
-        if (w[x] == Correlation::kNone) continue;
-        const int other = from_right[x - min_disparity - w[x]];
-        if (std::abs(other - w[x]) > largest) w[x] = Correlation::kNone;
+        const int partner = w[x] == Correlation::kNone ? 0 : x - min_disparity - w[x];
+        w[x] = std::abs(from_right[partner] - w[x]) > largest ? Correlation::kNone : w[x];
       }
     }
   });
@@ -58,7 +60,9 @@ void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double t
 cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, SubPixel fit,
                  float smallest) {
   cv::Mat1f disparity(winner.size());
-  parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
+  const bool parabola = fit == SubPixel::parabola, off = fit == SubPixel::off;
+  const int factor = parabola ? 2 : 1;
+  parallel_chunks(0, winner.rows, kRowsPerChunk, [=, &correlation, &winner, &disparity](int y0, int y1) {
     for (int y = y0; y < y1; ++y) {
       const uint16_t* w = winner[y];
       const uint16_t* cost = correlation.cost[y];
@@ -66,15 +70,15 @@ cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int mi
       const uint16_t* after = correlation.after[y];
       float* out = disparity[y];
       for (int x = 0; x < winner.cols; ++x) {
-        // V: the steeper side has the slope of both. Parabola: the mean of both sides' slopes is its curvature.
-        const int highest = std::max(before[x], after[x]);
-        const int spread = fit == SubPixel::parabola ? before[x] + after[x] - 2 * cost[x] : 2 * (highest - cost[x]);
-        const bool inside = fit != SubPixel::off && highest != Correlation::kNone && spread > 0;
-        const float offset = inside ? static_cast<float>(before[x] - after[x]) /
-                                          static_cast<float>((fit == SubPixel::parabola ? 2 : 1) * std::max(1, spread))
-                                    : 0.0f;
-        const float value = std::max(static_cast<float>(w[x] + min_disparity) + offset, smallest);
-        out[x] = w[x] == Correlation::kNone ? 0.0f : value;
+        // V: the steeper side has the slope of both. Parabola: the mean of both sides' slopes is its curvature. The
+        // quotient is formed whether it counts or not: then all of this is done in vectors.
+        const int here = cost[x], left = before[x], right = after[x];
+        const int highest = std::max(left, right);
+        const int spread = parabola ? left + right - 2 * here : 2 * (highest - here);
+        const float quotient = static_cast<float>(left - right) / static_cast<float>(factor * std::max(1, spread));
+        const bool inside = !off & (highest != Correlation::kNone) & (spread > 0);
+        const float value = static_cast<float>(w[x] + min_disparity) + (inside ? quotient : 0.0f);
+        out[x] = w[x] == Correlation::kNone ? 0.0f : value < smallest ? smallest : value;
       }
     }
   });
@@ -88,18 +92,33 @@ constexpr int kPhases = 64;  // per pixel of disparity, for the estimate of the 
 // A of equalise().
 double estimate_pull(const cv::Mat1w& winner, int min_disparity, const cv::Mat1f& disparity) {
   constexpr double kLowest = -0.06, kHighest = 0.13;  // beyond these it is not texture that causes them
-  std::vector<std::array<int, kPhases + 1>> histograms;
-  for (int y = 0; y < winner.rows; ++y) {
-    const uint16_t* w = winner[y];
-    const float* d = disparity[y];
-    for (int x = 0; x < winner.cols; ++x) {
-      if (w[x] == Correlation::kNone) continue;
-      const float phase = d[x] - static_cast<float>(w[x] + min_disparity) + 0.5f;
-      if (phase < 0 || phase > 1) continue;
-      if (w[x] >= histograms.size()) histograms.resize(w[x] + 1);
-      ++histograms[w[x]][static_cast<size_t>(phase * kPhases + 0.5f)];
+  // Of the phases of each whole disparity, one a chunk of rows. A last bin takes what does not count.
+  using Histogram = std::array<int, kPhases + 2>;
+  constexpr int kRowsPerHistogram = 128;
+  std::vector<std::vector<Histogram>> chunks((winner.rows + kRowsPerHistogram - 1) / kRowsPerHistogram);
+  parallel_chunks(0, winner.rows, kRowsPerHistogram, [&](int y0, int y1) {
+    std::vector<Histogram>& histograms = chunks[y0 / kRowsPerHistogram];
+    for (int y = y0; y < y1; ++y) {
+      const uint16_t* w = winner[y];
+      const float* d = disparity[y];
+      for (int x = 0; x < winner.cols; ++x) {
+        if (w[x] == Correlation::kNone) continue;
+        if (w[x] >= histograms.size()) histograms.resize(w[x] + 1, Histogram{});
+        const float phase = d[x] - static_cast<float>(w[x] + min_disparity) + 0.5f;
+        const bool counts = (phase >= 0) & (phase <= 1);
+        ++histograms[w[x]][counts ? static_cast<size_t>(phase * kPhases + 0.5f) : kPhases + 1];
+      }
+    }
+  });
+  std::vector<Histogram> histograms;
+  for (const std::vector<Histogram>& chunk : chunks) {
+    if (chunk.size() > histograms.size()) histograms.resize(chunk.size(), Histogram{});
+    for (size_t i = 0; i < chunk.size(); ++i) {
+      std::transform(chunk[i].begin(), chunk[i].end(), histograms[i].begin(), histograms[i].begin(), std::plus());
     }
   }
+  std::array<double, kPhases + 1> cosines;
+  for (int i = 0; i <= kPhases; ++i) cosines[i] = std::cos(2 * CV_PI * (static_cast<double>(i) / kPhases - 0.5));
   struct Level {
     double pixels = 0, cosine = 0;
   };
@@ -109,7 +128,7 @@ double estimate_pull(const cv::Mat1w& winner, int min_disparity, const cv::Mat1f
     Level level;
     for (int i = 0; i <= kPhases; ++i) {
       level.pixels += histogram[i];
-      level.cosine += histogram[i] * std::cos(2 * CV_PI * (static_cast<double>(i) / kPhases - 0.5));
+      level.cosine += histogram[i] * cosines[i];
     }
     if (level.pixels == 0) continue;
     level.cosine /= level.pixels;
@@ -140,11 +159,15 @@ void equalise(const cv::Mat1w& winner, int min_disparity, cv::Mat1f& disparity) 
   if (pull == 0) return;
   // Correction of a measured phase, tabulated: the p at which p - A sin(2 pi p) is the measured one.
   constexpr int kTable = 1024;
-  std::array<float, kTable + 1> correction;
+  std::array<float, kTable + 2> correction;  // the last one for pixels that stay
+  correction.back() = 0;
   for (int i = 0; i <= kTable; ++i) {
     const double measured = static_cast<double>(i) / kTable - 0.5;
     double phase = measured;
-    for (int k = 0; k < 60; ++k) phase = measured + pull * std::sin(2 * CV_PI * phase);  // converges: 2 pi A < 1
+    for (int k = 0; k < 60; ++k) {  // converges: 2 pi A < 1
+      const double before = std::exchange(phase, measured + pull * std::sin(2 * CV_PI * phase));
+      if (phase == before) break;
+    }
     correction[i] = static_cast<float>(phase - measured);
   }
   parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
@@ -152,10 +175,10 @@ void equalise(const cv::Mat1w& winner, int min_disparity, cv::Mat1f& disparity) 
       const uint16_t* w = winner[y];
       float* d = disparity[y];
       for (int x = 0; x < winner.cols; ++x) {
-        if (w[x] == Correlation::kNone) continue;
+        // Beyond [0, 1] are pixels without disparity, and the smallest disparity that stands for infinity.
         const float phase = d[x] - static_cast<float>(w[x] + min_disparity) + 0.5f;
-        if (phase < 0 || phase > 1) continue;  // the smallest disparity that stands for infinity
-        d[x] += correction[static_cast<size_t>(phase * kTable + 0.5f)];
+        const bool moves = (phase >= 0) & (phase <= 1);
+        d[x] += correction[moves ? static_cast<int>(phase * kTable + 0.5f) : kTable + 1];
       }
     }
   });
@@ -167,21 +190,31 @@ Segments find_segments(const cv::Mat1f& disparity, double tolerance) {
     int begin, end;
   };
   const float step = static_cast<float>(tolerance);
+  const int width = disparity.cols;
+  std::vector<std::vector<Run>> runs_of_row(disparity.rows);
+  parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
+    // Whether a pixel is valid, and whether it belongs to the run of the one before it.
+    std::vector<uint8_t> valid(width), joined(width);
+    const auto next = [&](const std::vector<uint8_t>& flags, int value, int x) {
+      const void* const found = x < width ? std::memchr(&flags[x], value, width - x) : nullptr;
+      return found == nullptr ? width : static_cast<int>(static_cast<const uint8_t*>(found) - flags.data());
+    };
+    for (int y = y0; y < y1; ++y) {
+      const float* d = disparity[y];
+      for (int x = 0; x < width; ++x) valid[x] = d[x] > 0 ? 1 : 0;
+      for (int x = 1; x < width; ++x) joined[x] = (d[x] > 0) & (std::abs(d[x] - d[x - 1]) <= step) ? 1 : 0;
+      for (int x = next(valid, 1, 0); x < width; x = next(valid, 1, x)) {
+        const int end = next(joined, 0, x + 1);
+        runs_of_row[y].push_back({x, end});
+        x = end;
+      }
+    }
+  });
   std::vector<Run> runs;
   std::vector<int> first_run(disparity.rows + 1);
-  runs.reserve(disparity.rows * 32);
   for (int y = 0; y < disparity.rows; ++y) {
     first_run[y] = static_cast<int>(runs.size());
-    const float* d = disparity[y];
-    for (int x = 0; x < disparity.cols;) {
-      if (d[x] <= 0) {
-        ++x;
-        continue;
-      }
-      const int begin = x++;
-      while (x < disparity.cols && d[x] > 0 && std::abs(d[x] - d[x - 1]) <= step) ++x;
-      runs.push_back({begin, x});
-    }
+    runs.insert(runs.end(), runs_of_row[y].begin(), runs_of_row[y].end());
   }
   first_run[disparity.rows] = static_cast<int>(runs.size());
 

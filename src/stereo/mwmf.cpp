@@ -101,8 +101,8 @@ cv::Mat1f measure_disparities(const cv::Mat1b& left, const cv::Mat1b& right, con
   // Correlation with multiple windows (3.4.2).
   const Matched matched = match(left, right, options);
   const Correlation& correlation = matched.correlation;
-  // Filters (3.4.3, 3.4.1).
-  cv::Mat1w winner = correlation.winner.clone();
+  // Filters (3.4.3, 3.4.1); nothing else needs the winners as they were.
+  cv::Mat1w winner = correlation.winner;
   if (matched.min_margin > 0) reject_ambiguous(correlation, matched.min_margin, winner);
   if (options.left_right_tolerance >= 0) {
     reject_one_sided(correlation.right_winner, options.min_disparity, options.left_right_tolerance, winner);

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>
+#include <cstring>
 #include <vector>
 
 #include "iris/core/error.h"
@@ -21,12 +22,30 @@ struct Step {
   float before, after;  // [px]
 };
 
-// Steps of at least `min_step` in one row.
-void find_steps(const float* disparity, int width, float min_step, std::vector<Step>& steps) {
+// 0 where a pixel and the one before it are valid and no step, else 1. In a form that compilers turn into vectors.
+void find_changes(const float* __restrict disparity, int width, float min_step, uint8_t* __restrict changes) {
+  changes[0] = 1;
+  for (int x = 1; x < width; ++x) {
+    const float before = disparity[x - 1], after = disparity[x];
+    changes[x] = (before > 0) & (after > 0) & (std::abs(after - before) < min_step) ? 0 : 1;
+  }
+}
+
+// Steps of at least `min_step` in one row; `changes` is as long.
+void find_steps(const float* disparity, int width, float min_step, std::vector<uint8_t>& changes,
+                std::vector<Step>& steps) {
+  find_changes(disparity, width, min_step, changes.data());
   steps.clear();
   float before = 0;  // disparity of the valid pixel to the left
   int begin = 0;     // of the invalid run behind it
   for (int x = 0; x < width; ++x) {
+    if (changes[x] == 0) {
+      const void* const next = std::memchr(&changes[x], 1, width - x);
+      if (next == nullptr) return;
+      x = static_cast<int>(static_cast<const uint8_t*>(next) - changes.data());
+      before = disparity[x - 1];
+      begin = x;
+    }
     const float after = disparity[x];
     if (!(after > 0)) continue;
     // The invalid run belongs to the lower side: the border stands at the end that touches the higher one.
@@ -139,9 +158,10 @@ cv::Mat1f correct_borders(const cv::Mat1b& left, const cv::Mat1b& right, const c
   cv::Mat1f out = disparity.clone();
   parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
     std::vector<Step> steps;
+    std::vector<uint8_t> changes(disparity.cols);
     Rows rows(disparity.cols, p);
     for (int y = y0; y < y1; ++y) {
-      find_steps(disparity[y], disparity.cols, static_cast<float>(p.min_step), steps);
+      find_steps(disparity[y], disparity.cols, static_cast<float>(p.min_step), changes, steps);
       if (!steps.empty()) rows.move_to(left, right, y);
       for (size_t i = 0; i < steps.size(); ++i) {
         // Borders do not pass each other.

@@ -20,7 +20,7 @@
 #define IRIS_STEREO_CORRELATION_BLOCK
 namespace iris::stereo {
 
-inline constexpr int kMaxLanes = 32;  // 16-bit lanes used at most
+inline constexpr int kMaxLanes = 16;  // 16-bit lanes used at most: wider vectors gain nothing
 inline constexpr int kGroup = 8;      // columns after which the search from the right takes part
 
 // Rows of both images, with room beside them, and the rows of the output for rows y0 … y1 - 1.

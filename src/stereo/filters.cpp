@@ -57,29 +57,45 @@ void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double t
   });
 }
 
+namespace {
+
+// Compilers turn these loops into vectors: nothing that they read can change while they write.
+
+void refine_row(const uint16_t* w, const uint16_t* cost, const uint16_t* before, const uint16_t* after, int width,
+                int min_disparity, SubPixel fit, float smallest, float* out) {
+  const bool parabola = fit == SubPixel::parabola, off = fit == SubPixel::off;
+  const int factor = parabola ? 2 : 1;
+  for (int x = 0; x < width; ++x) {
+    // V: the steeper side has the slope of both. Parabola: the mean of both sides' slopes is its curvature. The
+    // quotient is formed whether it counts or not.
+    const int here = cost[x], left = before[x], right = after[x];
+    const int highest = left > right ? left : right;
+    const int spread = parabola ? left + right - 2 * here : 2 * (highest - here);
+    const float quotient = static_cast<float>(left - right) / static_cast<float>(factor * (spread > 1 ? spread : 1));
+    const bool inside = !off & (highest != Correlation::kNone) & (spread > 0);
+    const float value = static_cast<float>(w[x] + min_disparity) + (inside ? quotient : 0.0f);
+    const float limited = value < smallest ? smallest : value;
+    out[x] = w[x] == Correlation::kNone ? 0.0f : limited;
+  }
+}
+
+// valid: 1 where there is a disparity; joined: 1 where it belongs to the run of the one before it. Else 0.
+void find_joints(const float* __restrict d, int width, float step, uint8_t* __restrict valid,
+                 uint8_t* __restrict joined) {
+  joined[0] = 0;
+  for (int x = 0; x < width; ++x) valid[x] = d[x] > 0 ? 1 : 0;
+  for (int x = 1; x < width; ++x) joined[x] = (d[x] > 0) & (std::abs(d[x] - d[x - 1]) <= step) ? 1 : 0;
+}
+
+}  // namespace
+
 cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, SubPixel fit,
                  float smallest) {
   cv::Mat1f disparity(winner.size());
-  const bool parabola = fit == SubPixel::parabola, off = fit == SubPixel::off;
-  const int factor = parabola ? 2 : 1;
-  parallel_chunks(0, winner.rows, kRowsPerChunk, [=, &correlation, &winner, &disparity](int y0, int y1) {
+  parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
     for (int y = y0; y < y1; ++y) {
-      const uint16_t* w = winner[y];
-      const uint16_t* cost = correlation.cost[y];
-      const uint16_t* before = correlation.before[y];
-      const uint16_t* after = correlation.after[y];
-      float* out = disparity[y];
-      for (int x = 0; x < winner.cols; ++x) {
-        // V: the steeper side has the slope of both. Parabola: the mean of both sides' slopes is its curvature. The
-        // quotient is formed whether it counts or not: then all of this is done in vectors.
-        const int here = cost[x], left = before[x], right = after[x];
-        const int highest = std::max(left, right);
-        const int spread = parabola ? left + right - 2 * here : 2 * (highest - here);
-        const float quotient = static_cast<float>(left - right) / static_cast<float>(factor * std::max(1, spread));
-        const bool inside = !off & (highest != Correlation::kNone) & (spread > 0);
-        const float value = static_cast<float>(w[x] + min_disparity) + (inside ? quotient : 0.0f);
-        out[x] = w[x] == Correlation::kNone ? 0.0f : value < smallest ? smallest : value;
-      }
+      refine_row(winner[y], correlation.cost[y], correlation.before[y], correlation.after[y], winner.cols,
+                 min_disparity, fit, smallest, disparity[y]);
     }
   });
   return disparity;
@@ -89,25 +105,35 @@ namespace {
 
 constexpr int kPhases = 64;  // per pixel of disparity, for the estimate of the pull
 
+// Phases of disparities between whole pixels, -1/2 … 1/2, as indices 0 … steps; steps + 1 for pixels without disparity
+// and for the smallest disparity, which stands for infinity. Turned into vectors, as above.
+void phase_indices(const uint16_t* w, const float* d, int width, int min_disparity, int steps, int* __restrict index) {
+  for (int x = 0; x < width; ++x) {
+    const float phase = d[x] - static_cast<float>(w[x] + min_disparity) + 0.5f;
+    const int nearest = static_cast<int>(phase * static_cast<float>(steps) + 0.5f);
+    index[x] = (phase >= 0) & (phase <= 1) ? nearest : steps + 1;
+  }
+}
+
 // A of equalise().
 double estimate_pull(const cv::Mat1w& winner, int min_disparity, const cv::Mat1f& disparity) {
   constexpr double kLowest = -0.06, kHighest = 0.13;  // beyond these it is not texture that causes them
-  // Of the phases of each whole disparity, one a chunk of rows. A last bin takes what does not count.
+  // Of the phases of each whole disparity, one a chunk of rows. The last bin takes what does not count, as does the
+  // first histogram: pixels without disparity; that of disparity w is the one after w.
   using Histogram = std::array<int, kPhases + 2>;
   constexpr int kRowsPerHistogram = 128;
   std::vector<std::vector<Histogram>> chunks((winner.rows + kRowsPerHistogram - 1) / kRowsPerHistogram);
   parallel_chunks(0, winner.rows, kRowsPerHistogram, [&](int y0, int y1) {
     std::vector<Histogram>& histograms = chunks[y0 / kRowsPerHistogram];
+    std::vector<int> index(winner.cols);
     for (int y = y0; y < y1; ++y) {
       const uint16_t* w = winner[y];
-      const float* d = disparity[y];
-      for (int x = 0; x < winner.cols; ++x) {
-        if (w[x] == Correlation::kNone) continue;
-        if (w[x] >= histograms.size()) histograms.resize(w[x] + 1, Histogram{});
-        const float phase = d[x] - static_cast<float>(w[x] + min_disparity) + 0.5f;
-        const bool counts = (phase >= 0) & (phase <= 1);
-        ++histograms[w[x]][counts ? static_cast<size_t>(phase * kPhases + 0.5f) : kPhases + 1];
-      }
+      const int width = winner.cols;
+      phase_indices(w, disparity[y], width, min_disparity, kPhases, index.data());
+      uint16_t largest = 0;
+      for (int x = 0; x < width; ++x) largest = std::max(largest, static_cast<uint16_t>(w[x] + 1));
+      if (largest >= histograms.size()) histograms.resize(largest + 1, Histogram{});
+      for (int x = 0; x < width; ++x) ++histograms[static_cast<uint16_t>(w[x] + 1)][index[x]];
     }
   });
   std::vector<Histogram> histograms;
@@ -124,11 +150,12 @@ double estimate_pull(const cv::Mat1w& winner, int min_disparity, const cv::Mat1f
   };
   std::vector<Level> levels;
   double all = 0;
-  for (const auto& histogram : histograms) {
+  for (size_t i = 1; i < histograms.size(); ++i) {
+    const Histogram& histogram = histograms[i];
     Level level;
-    for (int i = 0; i <= kPhases; ++i) {
-      level.pixels += histogram[i];
-      level.cosine += histogram[i] * cosines[i];
+    for (int k = 0; k <= kPhases; ++k) {
+      level.pixels += histogram[k];
+      level.cosine += histogram[k] * cosines[k];
     }
     if (level.pixels == 0) continue;
     level.cosine /= level.pixels;
@@ -171,15 +198,11 @@ void equalise(const cv::Mat1w& winner, int min_disparity, cv::Mat1f& disparity) 
     correction[i] = static_cast<float>(phase - measured);
   }
   parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
+    std::vector<int> index(winner.cols);
     for (int y = y0; y < y1; ++y) {
-      const uint16_t* w = winner[y];
       float* d = disparity[y];
-      for (int x = 0; x < winner.cols; ++x) {
-        // Beyond [0, 1] are pixels without disparity, and the smallest disparity that stands for infinity.
-        const float phase = d[x] - static_cast<float>(w[x] + min_disparity) + 0.5f;
-        const bool moves = (phase >= 0) & (phase <= 1);
-        d[x] += correction[moves ? static_cast<int>(phase * kTable + 0.5f) : kTable + 1];
-      }
+      phase_indices(winner[y], d, winner.cols, min_disparity, kTable, index.data());
+      for (int x = 0; x < winner.cols; ++x) d[x] += correction[index[x]];
     }
   });
 }
@@ -193,16 +216,13 @@ Segments find_segments(const cv::Mat1f& disparity, double tolerance) {
   const int width = disparity.cols;
   std::vector<std::vector<Run>> runs_of_row(disparity.rows);
   parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
-    // Whether a pixel is valid, and whether it belongs to the run of the one before it.
     std::vector<uint8_t> valid(width), joined(width);
     const auto next = [&](const std::vector<uint8_t>& flags, int value, int x) {
       const void* const found = x < width ? std::memchr(&flags[x], value, width - x) : nullptr;
       return found == nullptr ? width : static_cast<int>(static_cast<const uint8_t*>(found) - flags.data());
     };
     for (int y = y0; y < y1; ++y) {
-      const float* d = disparity[y];
-      for (int x = 0; x < width; ++x) valid[x] = d[x] > 0 ? 1 : 0;
-      for (int x = 1; x < width; ++x) joined[x] = (d[x] > 0) & (std::abs(d[x] - d[x - 1]) <= step) ? 1 : 0;
+      find_joints(disparity[y], width, step, valid.data(), joined.data());
       for (int x = next(valid, 1, 0); x < width; x = next(valid, 1, x)) {
         const int end = next(joined, 0, x + 1);
         runs_of_row[y].push_back({x, end});

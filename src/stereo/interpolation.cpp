@@ -58,6 +58,17 @@ bool hidden(const Neighbour& left, const Neighbour& right) {
   return step > 0 && static_cast<float>(left.distance + right.distance - 1) <= step + kTolerance;
 }
 
+// Of valid pixels; none elsewhere. In a form that compilers turn into vectors.
+void set_origins(const int* __restrict label, const uint8_t* __restrict corrected, int width,
+                 uint8_t* __restrict origin) {
+  constexpr auto kMeasured = static_cast<uint8_t>(DisparityOrigin::measured);
+  constexpr auto kCorrected = static_cast<uint8_t>(DisparityOrigin::corrected);
+  for (int x = 0; x < width; ++x) {
+    const uint8_t valid = corrected[x] != 0 ? kCorrected : kMeasured;
+    origin[x] = label[x] < 0 ? static_cast<uint8_t>(DisparityOrigin::none) : valid;
+  }
+}
+
 }  // namespace
 
 DisparityImage interpolate(const cv::Mat1f& disparity, const cv::Mat1b& corrected, const Segments& segments,
@@ -127,15 +138,10 @@ DisparityImage interpolate(const cv::Mat1f& disparity, const cv::Mat1b& correcte
     }
   };
   parallel_chunks(0, height, kRowsPerChunk, [&](int y0, int y1) {
-    std::vector<uint8_t> moved(width, 0);
+    const std::vector<uint8_t> moved(width, 0);  // if nothing was
     for (int y = y0; y < y1; ++y) {
       const int* const of_row = label[y];
-      if (!corrected.empty()) std::copy_n(corrected[y], width, moved.begin());
-      uint8_t* const origins = out.origin[y];
-      for (int x = 0; x < width; ++x) {
-        const DisparityOrigin valid = moved[x] != 0 ? DisparityOrigin::corrected : DisparityOrigin::measured;
-        origins[x] = static_cast<uint8_t>(of_row[x] < 0 ? DisparityOrigin::none : valid);
-      }
+      set_origins(of_row, corrected.empty() ? moved.data() : corrected[y], width, out.origin[y]);
       if (mode == Interpolation::off) continue;
       for (int x = 0; x < width;) {
         while (x < width && of_row[x] >= 0) ++x;

@@ -59,15 +59,12 @@ void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double t
 
 namespace {
 
-// Compilers turn these loops into vectors: nothing that they read can change while they write.
-
 void refine_row(const uint16_t* w, const uint16_t* cost, const uint16_t* before, const uint16_t* after, int width,
                 int min_disparity, SubPixel fit, float smallest, float* out) {
   const bool parabola = fit == SubPixel::parabola, off = fit == SubPixel::off;
   const int factor = parabola ? 2 : 1;
   for (int x = 0; x < width; ++x) {
-    // V: the steeper side has the slope of both. Parabola: the mean of both sides' slopes is its curvature. The
-    // quotient is formed whether it counts or not.
+    // V: the steeper side has the slope of both. Parabola: the mean of both sides' slopes is its curvature.
     const int here = cost[x], left = before[x], right = after[x];
     const int highest = left > right ? left : right;
     const int spread = parabola ? left + right - 2 * here : 2 * (highest - here);
@@ -79,12 +76,15 @@ void refine_row(const uint16_t* w, const uint16_t* cost, const uint16_t* before,
   }
 }
 
+// Compilers turn such loops into vectors: nothing that they read can change while they write, and no floating-point
+// operation depends on a condition.
+
 // valid: 1 where there is a disparity; joined: 1 where it belongs to the run of the one before it. Else 0.
 void find_joints(const float* __restrict d, int width, float step, uint8_t* __restrict valid,
                  uint8_t* __restrict joined) {
   joined[0] = 0;
-  for (int x = 0; x < width; ++x) valid[x] = d[x] > 0 ? 1 : 0;
-  for (int x = 1; x < width; ++x) joined[x] = (d[x] > 0) & (std::abs(d[x] - d[x - 1]) <= step) ? 1 : 0;
+  for (int x = 0; x < width; ++x) valid[x] = static_cast<uint8_t>(d[x] > 0);
+  for (int x = 1; x < width; ++x) joined[x] = static_cast<uint8_t>((d[x] > 0) & (std::abs(d[x] - d[x - 1]) <= step));
 }
 
 }  // namespace
@@ -111,7 +111,8 @@ void phase_indices(const uint16_t* w, const float* d, int width, int min_dispari
   for (int x = 0; x < width; ++x) {
     const float phase = d[x] - static_cast<float>(w[x] + min_disparity) + 0.5f;
     const int nearest = static_cast<int>(phase * static_cast<float>(steps) + 0.5f);
-    index[x] = (phase >= 0) & (phase <= 1) ? nearest : steps + 1;
+    const int inside = static_cast<int>(phase >= 0) & static_cast<int>(phase <= 1);
+    index[x] = (nearest & -inside) + (steps + 1) * (1 - inside);
   }
 }
 

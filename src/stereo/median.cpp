@@ -189,28 +189,25 @@ DisparityImage guided_median(const cv::Mat1b& left, const DisparityImage& image)
     return std::abs(a.row) + std::abs(a.column) < std::abs(b.row) + std::abs(b.column);
   });
   parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
-    // Two sums a bin, used in turn: taps that follow each other often share a bin and would wait for each other.
-    std::vector<int> histogram(2 * kBins, 0);
-    const auto weight_of = [&](int bin) { return histogram[2 * bin] + histogram[2 * bin + 1]; };
+    std::vector<int> histogram(kBins, 0);
     std::array<int16_t, kTile> loses;
     // Of the pixel (x, y), which does not agree with its neighbours.
     const auto settle = [&](int x, int y) {
       const int16_t* const bin = planes.bin[y + kMedianRadius] + x + kMedianRadius;
       const int16_t* const grey = planes.grey[y + kMedianRadius] + x + kMedianRadius;
       const int16_t* const factor = planes.factor[y + kMedianRadius] + x + kMedianRadius;
-      int low = kBins, high = 0, total = 0, turn = 0;
+      int low = kBins, high = 0, total = 0;
       for (const Tap& tap : taps) {
         if (factor[tap.at] == 0) continue;
         const int weight = std::max(0, kGreyReach - std::abs(grey[tap.at] - *grey)) * factor[tap.at];
-        histogram[2 * bin[tap.at] + turn] += weight;
-        turn ^= 1;
+        histogram[bin[tap.at]] += weight;
         total += weight;
         low = std::min<int>(low, bin[tap.at]);
         high = std::max<int>(high, bin[tap.at]);
       }
       int median = low;
-      for (int sum = weight_of(low); 2 * sum < total;) sum += weight_of(++median);
-      std::fill(histogram.begin() + 2 * low, histogram.begin() + 2 * high + 2, 0);
+      for (int sum = histogram[low]; 2 * sum < total;) sum += histogram[++median];
+      std::fill(histogram.begin() + low, histogram.begin() + high + 1, 0);
       const auto nearest = std::find_if(taps.begin(), taps.end(), [&](const Tap& t) { return bin[t.at] == median; });
       out.disparity(y, x) = disparity(y + nearest->row, x + nearest->column);
       if (image.origin(y, x) == static_cast<uint8_t>(DisparityOrigin::measured)) {

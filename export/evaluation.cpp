@@ -161,7 +161,10 @@ class OutputFolder {
 
   void evaluate_map(const fs::path& plan) {
     const fs::path map = request_.estimate / "map" / "map.yaml";
-    if (!fs::exists(map)) return;
+    if (!fs::exists(map)) {
+      evaluation_.sections.back().notes.push_back(map.string() + " is missing: no map is compared");
+      return;
+    }
     evaluation_.sections.push_back(evaluate_maps(request_, map, plan, truth_from_estimate_));
   }
 

@@ -45,6 +45,11 @@ TEST_F(SimulateCli, ASimulatedSessionIsReconstructedAndEvaluated) {
   // 0.1 px at about 1.5 m: 1.5^2 * 0.1 / (190 px * 0.11 m) = 11 mm in depth for one point, hundreds of them a view.
   EXPECT_LT(figures.at("trajectory").at("ate_rmse").get<double>(), 0.02);
   EXPECT_EQ(figures.at("trajectory").at("poses").get<double>(), 41);
+  // What cannot be compared is said.
+  fs::remove_all(out / "map");
+  const auto without_map = run_program({"evaluate", out.string(), "--truth", session.string()});
+  EXPECT_EQ(without_map.exit_code, 0) << without_map.output;
+  EXPECT_THAT(without_map.output, HasSubstr("no map is compared"));
 }
 
 TEST_F(SimulateCli, BadInputIsNamed) {

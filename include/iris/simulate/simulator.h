@@ -16,7 +16,7 @@ namespace iris::simulate {
 struct FrameTruth {
   cv::Mat1f disparity;      // [px] of the pixel's central ray; 0 = sky or outside of what the recorded camera sees
   cv::Mat1b occluded;       // 255 where the right camera does not see the point (hidden, or outside of its image)
-  cv::Mat1b discontinuity;  // 255 within options' border distance of a jump of the disparity
+  cv::Mat1b discontinuity;  // 255 within 3 px of neighbours whose disparities differ by more than 1 px
   cv::Mat1b textured;       // 255 where the surface carries texture that can be matched
 };
 

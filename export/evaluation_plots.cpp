@@ -24,10 +24,10 @@ void write_both(const fs::path& folder, const std::string& name, const Plot& plo
 
 void plot_trajectory(const fs::path& folder, const TrajectoryErrors& errors, const Trajectory& truth, int forward,
                      bool has_time) {
-  PlotSeries true_path{.name = "truth", .colour = kPlotGrey, .style = PlotSeries::Style::dashed};
-  PlotSeries path{.name = "estimate", .colour = kPlotVermillion};
-  PlotSeries start{.name = "start", .colour = kPlotGreen, .style = PlotSeries::Style::points};
-  PlotSeries translation{.name = "", .colour = kPlotVermillion}, rotation{.name = "", .colour = kPlotBlue};
+  PlotSeries true_path{.name = "truth", .colour = kGrey, .style = PlotSeries::Style::dashed};
+  PlotSeries path{.name = "estimate", .colour = kVermillion};
+  PlotSeries start{.name = "start", .colour = kGreen, .style = PlotSeries::Style::points};
+  PlotSeries translation{.name = "", .colour = kVermillion}, rotation{.name = "", .colour = kBlue};
   const int64_t first = errors.pairs.front().stamp_ns, last = errors.pairs.back().stamp_ns;
   for (const StampedPose& pose : truth) {
     if (pose.stamp_ns < first || pose.stamp_ns > last) continue;
@@ -63,7 +63,7 @@ void plot_trajectory(const fs::path& folder, const TrajectoryErrors& errors, con
 }
 
 void plot_disparities(const fs::path& folder, const evaluate::DisparityScore& score) {
-  PlotSeries bars{.name = "", .colour = kPlotBlue, .style = PlotSeries::Style::bars, .bar_width = 0.09};
+  PlotSeries bars{.name = "", .colour = kBlue, .style = PlotSeries::Style::bars, .bar_width = 0.09};
   const double valid = std::max<double>(1, static_cast<double>(score.all.valid));
   for (int i = 0; i < evaluate::kHistogramBins; ++i) {
     const int tenths = i - evaluate::kHistogramBins / 2;
@@ -75,7 +75,7 @@ void plot_disparities(const fs::path& folder, const evaluate::DisparityScore& sc
               .y_label = "share of the estimated pixels [%]",
               .series = {bars},
               .y_from_zero = true});
-  PlotSeries bias{.name = "mean error", .colour = kPlotVermillion}, rms{.name = "RMS", .colour = kPlotBlue};
+  PlotSeries bias{.name = "mean error", .colour = kVermillion}, rms{.name = "RMS", .colour = kBlue};
   for (int i = 0; i < evaluate::kFractionBins; ++i) {
     const evaluate::SubpixelScore& s = score.by_fraction[static_cast<size_t>(i)];
     if (s.count == 0) continue;

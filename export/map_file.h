@@ -11,11 +11,7 @@ namespace iris::exporters {
 // Writes into `folder`, each file whole or not at all (throws InputError):
 //   map.pgm, map.yaml   Nav2's trinary map: 254 free, 0 occupied, 205 unknown; `origin` is the lower-left corner of the
 //                       lower-left cell; image row 0 is the largest y. World frame [m], x right, y up in the image.
-//   map.png             the grey of the thesis, white = free, black = occupied, of the same size and without
-//   decorations;
-//                       unknown cells are tinted light blue. It shows the map value without the confidence K, which
-//                       decides what is known instead: a cell far away never collects the rays of a near one, and whole
-//                       streets would be nearly white
+//   map.png             the cells in grey (grey_cells), of the same size and without decorations
 //   map.pgw             world file of map.pgm and map.png (copied under the name that the picture's extension asks for)
 //   map_picture.png     map.png enlarged with the camera's path, start, end, axes, scale bar and legend
 //   layers.png          the same with heights in colour: each cell shows the layer of the largest map value

@@ -1,202 +1,20 @@
 #include "export/plot_file.h"
 
-#include <cairo.h>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <memory>
-#include <opencv2/imgproc.hpp>
 
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
-#include "iris/workspace/view_files.h"
 
 namespace iris::exporters {
 namespace {
 
-using Points = std::vector<Eigen::Vector2d>;
-enum class Anchor { start, middle, end };
-
-constexpr uint32_t kInk = 0x202020, kGrid = 0xe4e4e4, kWhite = 0xffffff;
+constexpr uint32_t kGrid = 0xe4e4e4;
 constexpr double kFontSize = 13, kTitleSize = 16;
-
-// What plots are drawn with. Pixels, y down.
-class Canvas {
- public:
-  virtual ~Canvas() = default;
-  virtual void lines(const Points& points, uint32_t colour, double width, bool dashed) = 0;
-  virtual void box(double x, double y, double w, double h, uint32_t colour) = 0;
-  virtual void dot(const Eigen::Vector2d& at, double radius, uint32_t colour) = 0;
-  // `turned`: reads upwards.
-  virtual void text(double x, double y, const std::string& text, Anchor anchor, double size, bool turned) = 0;
-  virtual void image(const cv::Mat3b& pixels, double x, double y, double w, double h) = 0;
-  virtual void clip(double x, double y, double w, double h) = 0;
-  virtual void unclip() = 0;
-  virtual std::vector<unsigned char> bytes() = 0;
-};
-
-class CairoCanvas : public Canvas {
- public:
-  CairoCanvas(int width, int height)
-      : surface_(cairo_image_surface_create(CAIRO_FORMAT_RGB24, width, height), cairo_surface_destroy),
-        context_(cairo_create(surface_.get()), cairo_destroy) {
-    IRIS_CHECK(cairo_status(cr()) == CAIRO_STATUS_SUCCESS);
-    cairo_select_font_face(cr(), "sans-serif", CAIRO_FONT_SLANT_NORMAL, CAIRO_FONT_WEIGHT_NORMAL);
-    CairoCanvas::box(0, 0, width, height, kWhite);
-  }
-
-  void lines(const Points& points, uint32_t colour, double width, bool dashed) override {
-    const double dashes[] = {6, 4};
-    cairo_set_dash(cr(), dashes, dashed ? 2 : 0, 0);
-    cairo_set_line_width(cr(), width);
-    cairo_set_line_join(cr(), CAIRO_LINE_JOIN_ROUND);
-    set_colour(colour);
-    cairo_new_path(cr());  // text leaves a current point behind
-    for (const Eigen::Vector2d& p : points) cairo_line_to(cr(), p.x(), p.y());
-    cairo_stroke(cr());
-  }
-  void box(double x, double y, double w, double h, uint32_t colour) override {
-    set_colour(colour);
-    cairo_rectangle(cr(), x, y, w, h);
-    cairo_fill(cr());
-  }
-  void dot(const Eigen::Vector2d& at, double radius, uint32_t colour) override {
-    set_colour(colour);
-    cairo_new_path(cr());
-    cairo_arc(cr(), at.x(), at.y(), radius, 0, 2 * M_PI);
-    cairo_fill(cr());
-  }
-  void text(double x, double y, const std::string& text, Anchor anchor, double size, bool turned) override {
-    set_colour(kInk);
-    cairo_set_font_size(cr(), size);
-    cairo_text_extents_t extents;
-    cairo_text_extents(cr(), text.c_str(), &extents);
-    cairo_save(cr());
-    cairo_translate(cr(), x, y);
-    if (turned) cairo_rotate(cr(), -M_PI / 2);
-    cairo_move_to(cr(), -0.5 * static_cast<int>(anchor) * extents.x_advance, 0);
-    cairo_show_text(cr(), text.c_str());
-    cairo_restore(cr());
-  }
-  void image(const cv::Mat3b& pixels, double x, double y, double w, double h) override {
-    cv::Mat4b bgra;
-    cv::cvtColor(pixels, bgra, cv::COLOR_BGR2BGRA);
-    const std::unique_ptr<cairo_surface_t, decltype(&cairo_surface_destroy)> picture(
-        cairo_image_surface_create_for_data(bgra.data, CAIRO_FORMAT_RGB24, bgra.cols, bgra.rows,
-                                            static_cast<int>(bgra.step)),
-        cairo_surface_destroy);
-    cairo_save(cr());
-    cairo_translate(cr(), x, y);
-    cairo_scale(cr(), w / pixels.cols, h / pixels.rows);
-    cairo_set_source_surface(cr(), picture.get(), 0, 0);
-    // Enlarged pixels stay sharp squares; reduced ones are averaged.
-    cairo_pattern_set_filter(cairo_get_source(cr()), w >= pixels.cols ? CAIRO_FILTER_NEAREST : CAIRO_FILTER_GOOD);
-    cairo_paint(cr());
-    cairo_restore(cr());
-  }
-  void clip(double x, double y, double w, double h) override {
-    cairo_save(cr());
-    cairo_rectangle(cr(), x, y, w, h);
-    cairo_clip(cr());
-  }
-  void unclip() override { cairo_restore(cr()); }
-  std::vector<unsigned char> bytes() override {
-    std::vector<unsigned char> png;
-    const auto append = [](void* target, const unsigned char* data, unsigned int size) {
-      auto& to = *static_cast<std::vector<unsigned char>*>(target);
-      to.insert(to.end(), data, data + size);
-      return CAIRO_STATUS_SUCCESS;
-    };
-    IRIS_CHECK(cairo_surface_write_to_png_stream(surface_.get(), append, &png) == CAIRO_STATUS_SUCCESS);
-    return png;
-  }
-
- private:
-  cairo_t* cr() const { return context_.get(); }
-  void set_colour(uint32_t rgb) {
-    cairo_set_source_rgb(cr(), (rgb >> 16 & 255) / 255.0, (rgb >> 8 & 255) / 255.0, (rgb & 255) / 255.0);
-  }
-  std::unique_ptr<cairo_surface_t, decltype(&cairo_surface_destroy)> surface_;
-  std::unique_ptr<cairo_t, decltype(&cairo_destroy)> context_;
-};
-
-std::string base64(const std::vector<unsigned char>& bytes) {
-  constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string text;
-  for (size_t i = 0; i < bytes.size(); i += 3) {
-    const size_t n = std::min<size_t>(3, bytes.size() - i);
-    uint32_t value = 0;
-    for (size_t k = 0; k < 3; ++k) value = value << 8 | (k < n ? bytes[i + k] : 0u);
-    for (size_t k = 0; k < 4; ++k) text += k <= n ? kDigits[value >> (18 - 6 * k) & 63] : '=';
-  }
-  return text;
-}
-
-// Cairo's SVG surface turns text into outlines; this one keeps it.
-class SvgCanvas : public Canvas {
- public:
-  SvgCanvas(int width, int height) {
-    text_ = fmt::format(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<svg xmlns=\"http://www.w3.org/2000/svg\" "
-        "xmlns:xlink=\"http://www.w3.org/1999/xlink\" width=\"{0}\" height=\"{1}\" viewBox=\"0 0 {0} {1}\" "
-        "font-family=\"sans-serif\">\n<rect width=\"{0}\" height=\"{1}\" fill=\"#ffffff\"/>\n",
-        width, height);
-  }
-
-  void lines(const Points& points, uint32_t colour, double width, bool dashed) override {
-    text_ += "<polyline points=\"";
-    for (const Eigen::Vector2d& p : points) text_ += fmt::format("{:.2f},{:.2f} ", p.x(), p.y());
-    text_ += fmt::format("\" fill=\"none\" stroke=\"#{:06x}\" stroke-width=\"{}\" stroke-linejoin=\"round\"{}/>\n",
-                         colour, width, dashed ? " stroke-dasharray=\"6 4\"" : "");
-  }
-  void box(double x, double y, double w, double h, uint32_t colour) override {
-    text_ += fmt::format("<rect x=\"{:.2f}\" y=\"{:.2f}\" width=\"{:.2f}\" height=\"{:.2f}\" fill=\"#{:06x}\"/>\n", x,
-                         y, w, h, colour);
-  }
-  void dot(const Eigen::Vector2d& at, double radius, uint32_t colour) override {
-    text_ += fmt::format("<circle cx=\"{:.2f}\" cy=\"{:.2f}\" r=\"{}\" fill=\"#{:06x}\"/>\n", at.x(), at.y(), radius,
-                         colour);
-  }
-  void text(double x, double y, const std::string& text, Anchor anchor, double size, bool turned) override {
-    constexpr const char* kAnchors[] = {"start", "middle", "end"};
-    std::string safe;
-    for (const char c : text) {
-      if (c == '&') {
-        safe += "&amp;";
-      } else if (c == '<') {
-        safe += "&lt;";
-      } else {
-        safe += c;
-      }
-    }
-    text_ += fmt::format("<text x=\"{0:.2f}\" y=\"{1:.2f}\" font-size=\"{2}\" text-anchor=\"{3}\" fill=\"#{4:06x}\"", x,
-                         y, size, kAnchors[static_cast<int>(anchor)], kInk);
-    if (turned) text_ += fmt::format(" transform=\"rotate(-90 {:.2f} {:.2f})\"", x, y);
-    text_ += fmt::format(">{}</text>\n", safe);
-  }
-  void image(const cv::Mat3b& pixels, double x, double y, double w, double h) override {
-    text_ += fmt::format(
-        "<image x=\"{:.2f}\" y=\"{:.2f}\" width=\"{:.2f}\" height=\"{:.2f}\" preserveAspectRatio=\"none\" "
-        "style=\"image-rendering:pixelated\" xlink:href=\"data:image/png;base64,{}\"/>\n",
-        x, y, w, h, base64(workspace::encode_png(pixels)));
-  }
-  void clip(double x, double y, double w, double h) override {
-    text_ += fmt::format(
-        "<clipPath id=\"area\"><rect x=\"{:.2f}\" y=\"{:.2f}\" width=\"{:.2f}\" height=\"{:.2f}\"/></clipPath>\n"
-        "<g clip-path=\"url(#area)\">\n",
-        x, y, w, h);
-  }
-  void unclip() override { text_ += "</g>\n"; }
-  std::vector<unsigned char> bytes() override {
-    const std::string all = text_ + "</svg>\n";
-    return {all.begin(), all.end()};
-  }
-
- private:
-  std::string text_;
-};
 
 struct Range {
   double low = std::numeric_limits<double>::infinity(), high = -std::numeric_limits<double>::infinity();
@@ -215,15 +33,6 @@ struct Range {
     high += margin;
   }
 };
-
-// Steps of 1, 2 or 5 times a power of ten, at most about `count` of them.
-double tick_step(double length, double count) {
-  const double least = length / count, power = std::pow(10.0, std::floor(std::log10(least)));
-  for (const double step : {1.0, 2.0, 5.0}) {
-    if (step * power >= least * (1 - 1e-9)) return step * power;
-  }
-  return 10 * power;
-}
 
 std::vector<double> ticks_of(const Range& range, double step) {
   std::vector<double> ticks;
@@ -292,27 +101,27 @@ void draw(Canvas& canvas, const Plot& plot) {
 
   // Axes. Lines along the middle of pixels are sharp.
   const auto crisp = [](double v) { return std::floor(v) + 0.5; };
-  const double step_x = tick_step(x.length(), w / 80), step_y = tick_step(y.length(), h / 50);
+  const double step_x = round_step(80 * x.length() / w), step_y = round_step(50 * y.length() / h);
   for (const double tick : ticks_of(x, step_x)) {
     const double column = crisp(at(tick, y.low).x());
-    canvas.lines({{column, y0}, {column, y0 + h}}, kGrid, 1, false);
-    canvas.text(column, y0 + h + 18, tick_text(tick, step_x), Anchor::middle, kFontSize, false);
+    canvas.line({{column, y0}, {column, y0 + h}}, kGrid, 1);
+    canvas.text(column, y0 + h + 18, tick_text(tick, step_x), {.size = kFontSize, .anchor = Anchor::middle});
   }
   for (const double tick : ticks_of(y, step_y)) {
     const double row = crisp(at(x.low, tick).y());
-    canvas.lines({{x0, row}, {x0 + w, row}}, kGrid, 1, false);
-    canvas.text(x0 - 8, row + 4, tick_text(tick, step_y), Anchor::end, kFontSize, false);
+    canvas.line({{x0, row}, {x0 + w, row}}, kGrid, 1);
+    canvas.text(x0 - 8, row + 4, tick_text(tick, step_y), {.size = kFontSize, .anchor = Anchor::end});
   }
-  canvas.text(x0 + w / 2, y0 + h + 42, plot.x_label, Anchor::middle, kFontSize, false);
-  canvas.text(18, y0 + h / 2, plot.y_label, Anchor::middle, kFontSize, true);
-  canvas.text(x0, kTop - 18, plot.title, Anchor::start, kTitleSize, false);
+  canvas.text(x0 + w / 2, y0 + h + 42, plot.x_label, {.size = kFontSize, .anchor = Anchor::middle});
+  canvas.text(18, y0 + h / 2, plot.y_label, {.size = kFontSize, .anchor = Anchor::middle, .turned = true});
+  canvas.text(x0, kTop - 18, plot.title, {.size = kTitleSize});
 
   canvas.clip(x0, y0, w, h);
   if (plot.image) canvas.image(plot.image->pixels, x0, y0, w, h);
   for (const PlotSeries& series : plot.series) {
-    Points run;
+    std::vector<Eigen::Vector2d> run;
     const auto end_run = [&] {
-      if (run.size() > 1) canvas.lines(run, series.colour, 1.8, series.style == PlotSeries::Style::dashed);
+      if (run.size() > 1) canvas.line(run, series.colour, 1.8, series.style == PlotSeries::Style::dashed);
       run.clear();
     };
     for (const Eigen::Vector2d& p : series.points) {
@@ -333,9 +142,7 @@ void draw(Canvas& canvas, const Plot& plot) {
   }
   canvas.unclip();
   const double right = crisp(x0 + w), bottom = crisp(y0 + h);
-  canvas.lines(
-      {{crisp(x0), crisp(y0)}, {right, crisp(y0)}, {right, bottom}, {crisp(x0), bottom}, {crisp(x0), crisp(y0)}}, kInk,
-      1, false);
+  canvas.frame(crisp(x0), crisp(y0), right - crisp(x0), bottom - crisp(y0), kInk, 1);
 
   double row = y0 + 12;
   const double left = x0 + w + 14;
@@ -346,16 +153,15 @@ void draw(Canvas& canvas, const Plot& plot) {
     } else if (series.style == PlotSeries::Style::bars) {
       canvas.box(left + 2, row - 11, 16, 13, series.colour);
     } else {
-      canvas.lines({{left, row - 4}, {left + 20, row - 4}}, series.colour, 2,
-                   series.style == PlotSeries::Style::dashed);
+      canvas.line({{left, row - 4}, {left + 20, row - 4}}, series.colour, 2, series.style == PlotSeries::Style::dashed);
     }
-    canvas.text(left + 28, row, series.name, Anchor::start, kFontSize, false);
+    canvas.text(left + 28, row, series.name, {.size = kFontSize});
     row += kLine;
   }
   for (const PlotSwatch& swatch : plot.swatches) {
     canvas.box(left + 1, row - 12, 18, 15, kInk);
     canvas.box(left + 2, row - 11, 16, 13, swatch.colour);
-    canvas.text(left + 28, row, swatch.text, Anchor::start, kFontSize, false);
+    canvas.text(left + 28, row, swatch.text, {.size = kFontSize});
     row += kLine;
   }
 }
@@ -366,10 +172,10 @@ void write_plot(const std::filesystem::path& path, const Plot& plot) {
   IRIS_CHECK(plot.width > 0 && plot.height > 0 && (!plot.image || !plot.image->pixels.empty()));
   std::unique_ptr<Canvas> canvas;
   if (path.extension() == ".svg") {
-    canvas = std::make_unique<SvgCanvas>(plot.width, plot.height);
+    canvas = svg_canvas(plot.width, plot.height, "px");
   } else {
     IRIS_CHECK(path.extension() == ".png");
-    canvas = std::make_unique<CairoCanvas>(plot.width, plot.height);
+    canvas = png_canvas(plot.width, plot.height, 1);
   }
   draw(*canvas, plot);
   write_file(path, canvas->bytes());

@@ -1,25 +1,22 @@
-// Plots as PNG (Cairo) and SVG (text stays text, so that it can be searched, copied and edited).
+// Plots as PNG and SVG.
 #pragma once
 
 #include <Eigen/Core>
-#include <cstdint>
 #include <filesystem>
 #include <opencv2/core.hpp>
 #include <optional>
 #include <string>
 #include <vector>
 
-namespace iris::exporters {
+#include "export/canvas.h"
 
-// Colours that colour-blind people tell apart (Okabe and Ito), 0xRRGGBB.
-constexpr uint32_t kPlotBlue = 0x0072b2, kPlotVermillion = 0xd55e00, kPlotGreen = 0x009e73, kPlotOrange = 0xe69f00,
-                   kPlotGrey = 0x777777;
+namespace iris::exporters {
 
 struct PlotSeries {
   enum class Style { line, dashed, points, bars };
   std::string name;                     // in the legend; empty = not there
   std::vector<Eigen::Vector2d> points;  // a point that is not finite interrupts a line; bars stand on y = 0
-  uint32_t colour = kPlotBlue;
+  uint32_t colour = kBlue;
   Style style = Style::line;
   double bar_width = 0;  // in units of x
 };

@@ -1,8 +1,10 @@
 #include "export/products.h"
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <ctime>
 #include <filesystem>
 #include <opencv2/imgcodecs.hpp>
 
@@ -53,19 +55,62 @@ Files write_trajectory(const Workspace& workspace) {
   return files_in(workspace.folder(), "trajectory");
 }
 
-Files write_maps(const Workspace& workspace, const mapping::FlogOptions& options, const RunControl& control) {
+// The title block of the sheet.
+SheetFacts facts_of(const Workspace& workspace, const mapping::MapRaster& raster, const RectifiedCamera& camera,
+                    const PoseGraph& graph, int submap) {
+  SheetFacts facts{.title = fs::path(workspace.session_folder()).filename().string(), .date = {}, .lines = {}};
+  double length = 0;
+  int64_t begin_ns = 0;
+  const PoseNode* last = nullptr;
+  int poses = 0;
+  for (const PoseNode& node : graph.nodes) {
+    if (node.submap != submap) continue;
+    if (last) {
+      length += (node.world_from_cam.translation() - last->world_from_cam.translation()).norm();
+    } else {
+      begin_ns = node.stamp_ns;
+    }
+    last = &node;
+    ++poses;
+  }
+  const double cell_area = raster.cell * raster.cell;
+  const int occupied = cv::countNonZero(raster.state == static_cast<uint8_t>(mapping::MapState::occupied));
+  // Recordings without a clock count from zero.
+  constexpr int64_t kYear2000 = 946684800;
+  const std::time_t seconds = begin_ns / 1'000'000'000;
+  const bool dated = seconds > kYear2000;
+  facts.date = fmt::format("{:%Y-%m-%dT%H:%M:%SZ}", fmt::gmtime(dated ? seconds : 0));
+  facts.lines = {
+      {"Recorded", dated ? fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(seconds)) : "date not recorded"},
+      {"Camera", fmt::format("{} x {} px, f {:.0f} px, base {:.0f} mm", camera.width, camera.height, camera.f,
+                             1000 * camera.baseline)},
+      {"Path", fmt::format("{:.2f} m, {} poses", length, poses)},
+      {"Explored", fmt::format("{:.1f} m\u00b2", cell_area * cv::countNonZero(raster.known))},
+      {"Occupied", fmt::format("{:.1f} m\u00b2", cell_area * occupied)},
+      {"Software", "IRIS " IRIS_VERSION},
+  };
+  return facts;
+}
+
+Files write_maps(const Workspace& workspace, const RunOptions& options, const RunControl& control) {
+  const mapping::FlogOptions& mapping = options.library.mapping;
   const auto views = main_views(workspace, kStreamCache);
   const int count = static_cast<int>(views->summaries().size());
   IRIS_CHECK(count > 0);
-  mapping::FlogBuilder builder(options, views->summaries().front().camera);
+  const views::ViewSummary& first = views->summaries().front();
+  mapping::FlogBuilder builder(mapping, first.camera);
   Progress progress(control.progress, "map", count);
   for (int i = 0; i < count; ++i) {
     if (control.stopped()) throw Interrupted();
     builder.add(*views->load(i));
     progress.update(i + 1);
   }
-  write_map(workspace.folder() / "map", mapping::rasterise(builder.map(), options),
-            workspace.pose_graph(pipeline::world_from_submap()), views->summaries().front().submap);
+  const fs::path folder = workspace.folder() / "map";
+  const mapping::MapRaster raster = mapping::rasterise(builder.map(), mapping);
+  const PoseGraph graph = workspace.pose_graph(pipeline::world_from_submap());
+  write_map(folder, raster, graph, first.submap);
+  write_sheet(folder, raster, graph, first.submap, facts_of(workspace, raster, first.camera, graph, first.submap),
+              options.sheet);
   return files_in(workspace.folder(), "map");
 }
 
@@ -127,11 +172,11 @@ std::vector<Stage> product_stages(const RunOptions& options) {
             .inputs = {},
             .run = [](Workspace& w, const RunControl&, const std::string&) { return write_trajectory(w); }},
       Stage{.name = "map",
-            .sections = {"mapping"},
+            .sections = {"mapping", "sheet"},
             .after = {"frames"},
             .inputs = {},
             .run = [&options](Workspace& w, const RunControl& control,
-                              const std::string&) { return write_maps(w, options.library.mapping, control); }},
+                              const std::string&) { return write_maps(w, options, control); }},
       Stage{.name = "octree",
             .sections = {"octree"},
             .after = {"frames"},

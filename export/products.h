@@ -5,6 +5,7 @@
 
 #include "export/octree_file.h"
 #include "export/scene_file.h"
+#include "export/sheet_file.h"
 #include "iris/pipeline/options.h"
 #include "iris/pipeline/pipeline.h"
 
@@ -15,11 +16,13 @@ struct RunOptions {
   pipeline::Options library;
   OctreeOptions octree;
   SceneOptions scene;
+  SheetOptions sheet;
 
   void declare(OptionSet& set) {
     library.declare(set);
     octree.declare(set);
     scene.declare(set);
+    sheet.declare(set);
   }
 };
 

@@ -10,7 +10,7 @@ build=(
   libtomlplusplus-dev libyaml-cpp-dev nlohmann-json3-dev
 )
 export_and_program=(ffmpeg fonts-dejavu-core libassimp-dev libcairo2-dev libcli11-dev liboctomap-dev libtinygltf-dev)
-tests=(clang-format-14 libbenchmark-dev libgmock-dev libgtest-dev octomap-tools)
+tests=(clang-format-14 libbenchmark-dev libgmock-dev libgtest-dev octomap-tools poppler-utils)
 
 wanted=("${build[@]}" "${export_and_program[@]}")
 case "${1-}" in

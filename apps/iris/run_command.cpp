@@ -18,7 +18,7 @@ namespace {
 
 struct Run {
   explicit Run(CLI::App& command)
-      : arguments(command, {"session", "stereo", "motion", "views", "mapping", "octree", "scene", "render", "tour"}) {}
+      : arguments(command, {"session", "stereo", "motion", "views", "mapping", "sheet", "octree", "scene", "render", "tour"}) {}
   std::string session, out;
   bool debug_motion = false;
   Arguments arguments;

@@ -91,11 +91,28 @@ class Cli : public ::testing::Test {
 TemporaryFolder* Cli::folder_ = nullptr;
 
 TEST_F(Cli, RunWritesEveryProduct) {
-  for (const char* file :
-       {"trajectory/tum.txt", "trajectory/kitti.txt", "trajectory/graph.g2o", "map/map.png", "map/map.pgm",
-        "map/map.yaml", "map/map.pgw", "map/layers.png", "octree/map.bt", "octree/map.ot", "model/scene.glb",
-        "tour/tour.mp4", "tour/frames/000000.png", "views/000000.left.png", "views/000000.disparity.png",
-        "views/000000.origin.png", "options.toml", "log.txt", "workspace.db"}) {
+  for (const char* file : {"trajectory/tum.txt",
+                           "trajectory/kitti.txt",
+                           "trajectory/graph.g2o",
+                           "map/map.png",
+                           "map/map.pgm",
+                           "map/map.yaml",
+                           "map/map.pgw",
+                           "map/layers.png",
+                           "map/sheet.pdf",
+                           "map/sheet.svg",
+                           "map/sheet.png",
+                           "octree/map.bt",
+                           "octree/map.ot",
+                           "model/scene.glb",
+                           "tour/tour.mp4",
+                           "tour/frames/000000.png",
+                           "views/000000.left.png",
+                           "views/000000.disparity.png",
+                           "views/000000.origin.png",
+                           "options.toml",
+                           "log.txt",
+                           "workspace.db"}) {
     EXPECT_TRUE(fs::exists(reference() / file)) << file;
   }
   EXPECT_THAT(read_file(reference() / "log.txt"), HasSubstr("14 of 14 frames have a pose"));  // although it ran quietly

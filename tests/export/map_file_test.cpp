@@ -144,10 +144,10 @@ TEST_F(MapFileTest, DecoratedPicturesShowPathStartAndEndOfTheSubmap) {
   for (const char* name : {"map_picture.png", "layers.png"}) {
     const cv::Mat3b picture = cv::imread((folder_ / name).string());
     ASSERT_FALSE(picture.empty());
-    // 16-fold, 70 px to the left and 30 above: the path's start is at cell (1.0, 1.33) from below.
+    // 16-fold, 60 px to the left and 34 above: the path's start is at cell (1.0, 1.33) from below.
     const auto at = [&](const Eigen::Vector3d& p) {
-      return picture(30 + static_cast<int>(80 - (p.y() - raster_.origin_y) / 0.05 * 16),
-                     70 + static_cast<int>((p.x() - raster_.origin_x) / 0.05 * 16));
+      return picture(34 + static_cast<int>(80 - (p.y() - raster_.origin_y) / 0.05 * 16),
+                     60 + static_cast<int>((p.x() - raster_.origin_x) / 0.05 * 16));
     };
     EXPECT_EQ(at(graph_.nodes[0].world_from_cam.translation()), cv::Vec3b(115, 158, 0));
     EXPECT_EQ(at(graph_.nodes[1].world_from_cam.translation()), cv::Vec3b(0, 94, 213));

@@ -17,11 +17,11 @@ using ::testing::HasSubstr;
 using ::testing::Not;
 
 Plot example() {
-  PlotSeries line{.name = "estimate & <truth>", .colour = kPlotVermillion};
+  PlotSeries line{.name = "estimate & <truth>", .colour = kVermillion};
   for (int i = 0; i <= 100; ++i)
     line.points.emplace_back(0.1 * i, i == 50 ? std::numeric_limits<double>::quiet_NaN() : 5);
   PlotSeries dashed{.name = "dashed", .points = {{0, 0}, {10, 10}}, .style = PlotSeries::Style::dashed};
-  PlotSeries dots{.name = "dots", .points = {{2, 8}}, .colour = kPlotGreen, .style = PlotSeries::Style::points};
+  PlotSeries dots{.name = "dots", .points = {{2, 8}}, .colour = kGreen, .style = PlotSeries::Style::points};
   PlotSeries bars{.name = "bars", .points = {{7, 2}}, .style = PlotSeries::Style::bars, .bar_width = 1};
   return {.title = "A title", .x_label = "time [s]", .y_label = "error [mm]", .series = {bars, line, dashed, dots}};
 }

@@ -2,20 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
+#include "corner_kernels.h"
 #include "iris/motion/track.h"
 
 namespace iris::motion {
-namespace {
-
-int difference(const RankPatch& a, const RankPatch& b) {
-  int sum = 0;
-  for (size_t i = 0; i < a.size(); ++i) sum += std::abs(a[i] - b[i]);
-  return sum;
-}
-
-}  // namespace
 
 RankPatch turned(const RankPatch& patch) {
   RankPatch result{};
@@ -30,22 +21,11 @@ std::vector<std::pair<int, int>> match_corners(const ViewFeatures& prev, const V
   for (RankPatch& patch : cur_patches)
     for (int turn = 0; turn < turns; ++turn) patch = turned(patch);
 
-  struct Best {
-    int difference = std::numeric_limits<int>::max();
-    int index = -1;
-  };
-  std::vector<Best> of_prev(prev.patches.size()), of_cur(cur_patches.size());
-  for (size_t i = 0; i < prev.patches.size(); ++i) {
-    for (size_t j = 0; j < cur_patches.size(); ++j) {
-      const int d = difference(prev.patches[i], cur_patches[j]);
-      if (d < of_prev[i].difference) of_prev[i] = {d, static_cast<int>(j)};
-      if (d < of_cur[j].difference) of_cur[j] = {d, static_cast<int>(i)};
-    }
-  }
+  const NearestPatches nearest = nearest_patches(prev.patches, cur_patches);
   std::vector<std::pair<int, int>> matches;
-  for (int i = 0; i < static_cast<int>(of_prev.size()); ++i) {
-    const int j = of_prev[i].index;
-    if (j >= 0 && of_cur[j].index == i) matches.emplace_back(i, j);
+  for (int i = 0; i < static_cast<int>(nearest.of_a.size()); ++i) {
+    const int j = nearest.of_a[i].index;
+    if (j >= 0 && nearest.of_b[j].index == i) matches.emplace_back(i, j);
   }
   return matches;
 }

@@ -3,19 +3,15 @@
 #include <algorithm>
 #include <cmath>
 #include <opencv2/imgproc.hpp>
+#include <tuple>
+#include <utility>
 
+#include "corner_kernels.h"
 #include "iris/core/error.h"
+#include "iris/core/parallel.h"
 
 namespace iris::motion {
 namespace {
-
-constexpr int kBorder = kPatchSize / 2 + kRankWindow / 2;  // a corner nearer to the image's edge has no full patch
-
-struct Candidate {
-  Corner corner;
-  int x = 0, y = 0;  // pixel of the strongest response
-  int cell = 0;
-};
 
 // Maximum of the quadratic surface that fits the 3x3 responses best; offset of at most half a pixel each way.
 Eigen::Vector2d surface_maximum(const cv::Mat1f& response, int x, int y) {
@@ -34,74 +30,15 @@ Eigen::Vector2d surface_maximum(const cv::Mat1f& response, int x, int y) {
   return {std::clamp(offset.x(), -0.5, 0.5), std::clamp(offset.y(), -0.5, 0.5)};
 }
 
-bool is_maximum(const cv::Mat1f& response, int x, int y) {
-  const float r = response(y, x);
-  const float *above = response[y - 1] + x, *here = response[y] + x, *below = response[y + 1] + x;
-  // Of equal neighbours the first in reading order wins.
-  return r > above[-1] && r > above[0] && r > above[1] && r > here[-1] && r >= here[1] && r >= below[-1] &&
-         r >= below[0] && r >= below[1];
-}
-
-// Every cell gives its strongest, then every cell its second strongest, and so on until there are `count`.
-void spread(std::vector<Candidate>& candidates, int cells, int count) {
-  std::stable_sort(candidates.begin(), candidates.end(),
-                   [](const Candidate& a, const Candidate& b) { return a.corner.strength > b.corner.strength; });
-  if (static_cast<int>(candidates.size()) <= count) return;
-  std::vector<int> taken(cells, 0);
-  std::vector<std::pair<int, int>> order;  // place in its cell, index
-  for (int i = 0; i < static_cast<int>(candidates.size()); ++i) order.emplace_back(taken[candidates[i].cell]++, i);
-  std::sort(order.begin(), order.end());
-  std::vector<Candidate> chosen;
-  for (int i = 0; i < count; ++i) chosen.push_back(candidates[order[i].second]);
-  candidates = std::move(chosen);
+// The strongest of each cell first.
+bool weaker(const Maximum& a, const Maximum& b) {
+  return std::make_tuple(a.value, -a.y, -a.x) < std::make_tuple(b.value, -b.y, -b.x);
 }
 
 }  // namespace
 
-cv::Mat1f harris_response(const cv::Mat1b& image) {
-  constexpr double kSigma = 2.0;
-  constexpr float kKappa = 0.04f;
-  cv::Mat1f dx, dy;
-  cv::Sobel(image, dx, CV_32F, 1, 0, 3, 1.0 / 8);
-  cv::Sobel(image, dy, CV_32F, 0, 1, 3, 1.0 / 8);
-  cv::Mat1f xx = dx.mul(dx), xy = dx.mul(dy), yy = dy.mul(dy);
-  const cv::Size window(11, 11);
-  for (cv::Mat1f* m : {&xx, &xy, &yy}) cv::GaussianBlur(*m, *m, window, kSigma);
-  cv::Mat1f response(image.size());
-  for (int y = 0; y < image.rows; ++y) {
-    const float *a = xx[y], *b = xy[y], *c = yy[y];
-    float* out = response[y];
-    for (int x = 0; x < image.cols; ++x) {
-      const float trace = a[x] + c[x];
-      out[x] = a[x] * c[x] - b[x] * b[x] - kKappa * trace * trace;
-    }
-  }
-  return response;
-}
-
-RankPatch rank_patch(const cv::Mat1b& image, int x, int y) {
-  IRIS_CHECK(x >= kBorder && y >= kBorder && x < image.cols - kBorder && y < image.rows - kBorder);
-  constexpr int kSpan = 2 * kBorder + 1;  // pixels that take part
-  constexpr int kWidth = 32;              // a whole number of vector registers; columns beyond the patch are ignored
-  uint8_t pixels[kSpan][kWidth + kRankWindow + 5] = {};
-  for (int j = 0; j < kSpan; ++j) std::copy_n(image[y - kBorder + j] + x - kBorder, kSpan, pixels[j]);
-  RankPatch patch{};
-  for (int j = 0; j < kPatchSize; ++j) {
-    uint8_t rank[kWidth] = {};
-    const uint8_t* centre = pixels[j + kRankWindow / 2] + kRankWindow / 2;
-    for (int v = 0; v < kRankWindow; ++v) {
-      for (int u = 0; u < kRankWindow; ++u) {
-        const uint8_t* other = pixels[j + v] + u;
-        for (int i = 0; i < kWidth; ++i) rank[i] = static_cast<uint8_t>(rank[i] + (other[i] < centre[i] ? 1 : 0));
-      }
-    }
-    std::copy_n(rank, kPatchSize, patch.begin() + j * kPatchSize);
-  }
-  return patch;
-}
-
 RankPatch grey_patch(const cv::Mat1b& image, int x, int y) {
-  IRIS_CHECK(x >= kBorder && y >= kBorder && x < image.cols - kBorder && y < image.rows - kBorder);
+  IRIS_CHECK(x >= kPatchBorder && y >= kPatchBorder && x < image.cols - kPatchBorder && y < image.rows - kPatchBorder);
   RankPatch patch{};
   for (int j = 0; j < kPatchSize; ++j) {
     std::copy_n(image[y - kPatchSize / 2 + j] + x - kPatchSize / 2, kPatchSize, patch.begin() + j * kPatchSize);
@@ -142,29 +79,56 @@ ViewFeatures extract_features(const cv::Mat1b& left_image, const DisparityImage&
   IRIS_CHECK(left_image.size() == disparity.disparity.size() && left_image.size() == disparity.origin.size());
   ViewFeatures features{.image = left_image, .disparity = disparity, .corners = {}, .patches = {}};
   const int width = left_image.cols, height = left_image.rows;
-  if (width <= 2 * kBorder || height <= 2 * kBorder) return features;
   const cv::Mat1f response = harris_response(left_image);
   const int columns = options.grid_columns;
   const int rows = std::max(1, static_cast<int>(std::lround(static_cast<double>(columns) * height / width)));
-  std::vector<Candidate> candidates;
-  for (int y = kBorder; y < height - kBorder; ++y) {
-    for (int x = kBorder; x < width - kBorder; ++x) {
-      if (response(y, x) < options.min_strength || !is_maximum(response, x, y)) continue;
-      const Eigen::Vector2d offset = surface_maximum(response, x, y);
-      Corner corner{.x = x + offset.x(), .y = y + offset.y(), .strength = response(y, x)};
-      corner.disparity = usable_disparity(disparity, corner.x, corner.y, camera, options);
-      if (corner.disparity == 0) continue;
+  std::vector<std::vector<Maximum>> cells(static_cast<size_t>(rows) * columns);
+  for (const Maximum& m : local_maxima(response, static_cast<float>(options.min_strength), kPatchBorder)) {
+    cells[static_cast<size_t>(m.y * rows / height) * columns + m.x * columns / width].push_back(m);
+  }
+  for (std::vector<Maximum>& cell : cells) std::make_heap(cell.begin(), cell.end(), weaker);
+  const auto usable_corner = [&](const Maximum& m) {
+    const Eigen::Vector2d offset = surface_maximum(response, m.x, m.y);
+    Corner corner{.x = m.x + offset.x(), .y = m.y + offset.y(), .strength = m.value};
+    corner.disparity = usable_disparity(disparity, corner.x, corner.y, camera, options);
+    return corner;
+  };
+
+  // Every cell gives its strongest usable corner, then every cell its second strongest, and so on.
+  std::vector<Maximum> chosen;
+  const size_t count = static_cast<size_t>(options.max_corners);
+  for (bool more = true; more && chosen.size() < count;) {
+    std::vector<std::pair<Maximum, Corner>> given;
+    for (std::vector<Maximum>& cell : cells) {
+      while (!cell.empty()) {
+        std::pop_heap(cell.begin(), cell.end(), weaker);
+        const Maximum maximum = cell.back();
+        cell.pop_back();
+        const Corner corner = usable_corner(maximum);
+        if (corner.disparity == 0) continue;
+        given.emplace_back(maximum, corner);
+        break;
+      }
+    }
+    more = !given.empty();
+    std::sort(given.begin(), given.end(), [](const auto& a, const auto& b) { return weaker(b.first, a.first); });
+    if (given.size() > count - chosen.size()) given.resize(count - chosen.size());
+    for (auto& [maximum, corner] : given) {
       corner.point_in_cam = camera.point(corner.x, corner.y, corner.disparity);
-      candidates.push_back({corner, x, y, y * rows / height * columns + x * columns / width});
+      chosen.push_back(maximum);
+      features.corners.push_back(corner);
     }
   }
-  spread(candidates, rows * columns, options.max_corners);
+
+  constexpr int kPatchesPerChunk = 64;
   const bool rank = options.compare == "rank";
   const cv::Mat1b compared = rank ? left_image : laplacian_of_gaussian(left_image);
-  for (const Candidate& candidate : candidates) {
-    features.corners.push_back(candidate.corner);
-    features.patches.push_back((rank ? rank_patch : grey_patch)(compared, candidate.x, candidate.y));
-  }
+  features.patches.resize(chosen.size());
+  parallel_chunks(0, static_cast<int>(chosen.size()), kPatchesPerChunk, [&](int begin, int end) {
+    for (int i = begin; i < end; ++i) {
+      features.patches[i] = (rank ? rank_patch : grey_patch)(compared, chosen[i].x, chosen[i].y);
+    }
+  });
   return features;
 }
 

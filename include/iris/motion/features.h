@@ -43,7 +43,7 @@ double usable_disparity(const DisparityImage& disparity, double x, double y, con
                         const ScsOptions& options);
 
 // Harris response det(M) - 0.04 trace(M)^2 [(grey levels/px)^4] of the structure tensor weighted with a Gaussian of 2
-// px.
+// px over 11x11 px; 0 within 6 px of the image's edge. The same bits on every machine.
 cv::Mat1f harris_response(const cv::Mat1b& image);
 
 // The Rank transform (number of pixels of the 11x11 window that are darker than its centre) in the 17x17 pixels around

@@ -96,7 +96,7 @@ const Sequence& hand_held() {
 const Sequence* street() {
   static const std::unique_ptr<Sequence> sequence = [] {
     const fs::path folder = kData / "kitti_street";
-    return fs::exists(folder) ? std::make_unique<Sequence>(recorded_sequence(folder, "KITTI", {25})) : nullptr;
+    return fs::exists(folder) ? std::make_unique<Sequence>(recorded_sequence(folder, "KITTI", {25, 26})) : nullptr;
   }();
   return sequence.get();
 }

@@ -23,7 +23,7 @@ struct Sequence {
 // Five pairs of 752x480: EuRoC MH_01 from frame 40 on, the first two being neighbours; else the room.
 const Sequence& hand_held();
 
-// 1226x370, KITTI's street; null if that recording is not there.
+// Two neighbouring pairs of 1226x370, KITTI's street; null if that recording is not there.
 const Sequence* street();
 
 // Pairs of a textured room, rendered, along a made-up path.

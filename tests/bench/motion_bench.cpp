@@ -7,6 +7,7 @@
 #include "bench/opencv_peers.h"
 #include "iris/motion/closed_form.h"
 #include "iris/motion/scs.h"
+#include "iris/stereo/mwmf.h"
 #include "support/synthetic_views.h"
 
 namespace iris::bench {
@@ -59,6 +60,32 @@ void peer_motion(State& state) {
   measure(state, 1,
           [&] { inliers = plain_motion(view(0).image, view(0).disparity.disparity, view(1).image, view(0).camera); });
   state.counters["points"] = inliers;
+}
+
+// The whole stage for one more view with 300 corners a view, and the stereo stage for the same view.
+void register_stage(const Sequence& (*sequence)(), const std::string& input) {
+  const auto disparity_of = [=](size_t i) {
+    stereo::MwmfOptions options;
+    options.disparities = 128;
+    return stereo::mwmf(sequence().pairs[i].left, sequence().pairs[i].right, options);
+  };
+  compare("motion", "whole stage", input,
+          {{"IRIS",
+            [=](State& state) {
+              ScsOptions options;
+              options.max_corners = 300;
+              const RectifiedCamera& camera = sequence().camera;
+              const DisparityImage disparities[2] = {disparity_of(0), disparity_of(1)};
+              const auto features = [&](size_t i) {
+                return extract_features(sequence().pairs[i].left, disparities[i], camera, options);
+              };
+              const ViewFeatures prev = features(0);
+              MotionEstimate estimate;
+              measure(state, 1, [&] { estimate = estimate_motion(prev, features(1), camera, options); });
+              if (estimate.status != MotionStatus::ok) state.SkipWithError("no motion found");
+              state.counters["points"] = estimate.used;
+            }},
+           {"MWMF stereo (IRIS)", [=](State& state) { measure(state, 1, [&] { DoNotOptimize(disparity_of(1)); }); }}});
 }
 
 // 150 points 2 to 8 m away, seen with 0.1 px of noise before and after a motion of 10 cm and 2 degrees.
@@ -123,6 +150,8 @@ void register_motion() {
           {{"IRIS", [](State& state) { our_motion(state, false); }}, {"LK, PnP RANSAC (OpenCV)", peer_motion}});
   compare("motion", "motion of a pair, with corners", input,
           {{"IRIS", [](State& state) { our_motion(state, true); }}, {"LK, PnP RANSAC (OpenCV)", peer_motion}});
+  register_stage(hand_held, input);
+  if (street()) register_stage([]() -> const Sequence& { return *street(); }, street()->name);
   register_minimisers(ErrorModel::ellipsoid, "minimisation, ellipsoids");
   register_minimisers(ErrorModel::image, "minimisation, image errors");
 }

@@ -1,23 +1,27 @@
 #!/usr/bin/env bash
 # usage: scripts/bench.sh [--quick] [--processor-time] [options of Google Benchmark]
 #        scripts/bench.sh --instructions
+#        scripts/bench.sh --quality
 # Installs what is missing, builds iris_bench (build/ci) and times IRIS beside its peers in one run: 7 repetitions of
 # at least 0.2 s each in random order, of which the fastest counts (--quick: one of 0.02 s). Prints a table in Markdown,
 # as in docs/benchmarks.md; all repetitions go to build/ci/bench.json.
 # --processor-time, for a busy machine: of what one thread does, and that alone.
 # --benchmark_filter='^stereo/' times one stage.
 # --instructions counts the instructions of the stereo core with callgrind (needs valgrind): they repeat exactly.
+# --quality prints how many disparities are wrong, of IRIS and its peers, instead of times.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 arguments=()
 instructions=false
+quality=false
 for argument in "$@"; do
   case "$argument" in
     --instructions) instructions=true ;;
+    --quality) quality=true ;;
     --quick | --processor-time | --benchmark_*) arguments+=("$argument") ;;
     *)
-      sed -n 2,9p "$0"
+      sed -n 2,11p "$0"
       exit 2
       ;;
   esac
@@ -34,6 +38,7 @@ cmake --preset ci "${launcher[@]}" >&2
 cmake --build --preset ci --target iris_bench >&2
 bench=build/ci/tests/bench/iris_bench
 
+if $quality; then exec $bench --quality; fi
 if ! $instructions; then
   exec $bench --benchmark_out=build/ci/bench.json --benchmark_out_format=json "${arguments[@]}"
 fi

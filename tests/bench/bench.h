@@ -55,4 +55,7 @@ void register_run(bool quick);
 // callgrind counts. Prints the number of pixels times disparities. False if there is no such work.
 bool count_instructions(const std::string& work);
 
+// Prints how good the disparities are, IRIS's and its peers'.
+void print_quality();
+
 }  // namespace iris::bench

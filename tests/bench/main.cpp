@@ -1,5 +1,6 @@
 // iris_bench [--quick] [--processor-time] [options of Google Benchmark]: IRIS beside its peers; prints a table in
 // Markdown. --processor-time: of one thread, instead of elapsed time; for a machine that others use as well.
+// iris_bench --quality: errors of the disparities instead of times.
 // iris_bench --count=WORK: does WORK once, for a tool that counts instructions.
 #include <fmt/chrono.h>
 #include <fmt/format.h>
@@ -196,6 +197,10 @@ int main(int argc, char** argv) {
       if (iris::bench::count_instructions(argument.substr(8))) return 0;
       fmt::print(stderr, "iris_bench: cannot count {}\n", argument.substr(8));
       return 2;
+    }
+    if (argument == "--quality") {
+      iris::bench::print_quality();
+      return 0;
     }
     if (argument == "--quick") {
       quick = true;

@@ -1,11 +1,13 @@
 #include "iris/stereo/mwmf.h"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 
 #include <cmath>
 
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "iris/evaluate/disparities.h"
 #include "support/stereo_pairs.h"
 
 namespace iris::stereo {
@@ -25,38 +27,19 @@ MwmfOptions with_preset(const std::string& name) {
 }
 
 struct Score {
-  double density = 0;    // [%] measured or corrected pixels of those with truth
-  double wrong = 0;      // [%] of all with truth: measured or corrected, and off by more than 1 px
-  double dense = 0;      // [%] of all with truth: wrong or missing after interpolation
-  double visible = 0;    // [%] the same of those that both cameras see
-  double sub_pixel = 0;  // [px] RMS of the measured ones that are right
+  evaluate::DisparityScore measured, dense;  // before and after interpolation
+  double density() const { return measured.all.density(); }
+  double wrong() const { return measured.all.wrong(1); }                // [%] off by more than 1 px
+  double all() const { return dense.all.wrong_or_missing(1); }          // [%]
+  double visible() const { return dense.visible.wrong_or_missing(1); }  // [%] of what both cameras see
 };
 
 Score score(const testing::TruthPair& pair, const DisparityImage& result, bool whole_pixels) {
-  const cv::Mat1b visible = testing::visible_in_both(pair.truth);
-  int known = 0, seen = 0, measured = 0, wrong = 0, dense = 0, dense_seen = 0, right = 0;
-  double squares = 0;
-  for (int y = 0; y < pair.truth.rows; ++y) {
-    for (int x = 0; x < pair.truth.cols; ++x) {
-      const float truth = pair.truth(y, x);
-      if (truth <= 0) continue;
-      const float d = whole_pixels ? std::round(result.disparity(y, x)) : result.disparity(y, x);
-      const bool bad = !(d > 0) || std::abs(d - truth) > 1;
-      const bool is_measured = result.at(y, x, DisparityOrigin::corrected) > 0;
-      ++known;
-      seen += visible(y, x) > 0;
-      dense += bad;
-      dense_seen += bad && visible(y, x) > 0;
-      measured += is_measured;
-      wrong += is_measured && bad;
-      if (is_measured && !bad) {
-        ++right;
-        squares += (d - truth) * (d - truth);
-      }
-    }
-  }
-  return {100.0 * measured / known, 100.0 * wrong / known, 100.0 * dense / known, 100.0 * dense_seen / seen,
-          std::sqrt(squares / right)};
+  const cv::Mat1b hidden = testing::visible_in_both(pair.truth) == 0;
+  const auto rate = [&](const DisparityImage& image) {
+    return evaluate::score_disparities(image, pair.truth, hidden, {}, {.round = whole_pixels});
+  };
+  return {rate(testing::before_interpolation(result)), rate(result)};
 }
 
 enum class Pair { tsukuba, cones, motorcycle };
@@ -79,17 +62,17 @@ TEST_P(Presets, AgainstPublicGroundTruth) {
   MwmfOptions options = with_preset(c.preset);
   options.disparities = tsukuba ? 32 : 64;
   const Score s = score(pair, mwmf(pair.left, pair.right, options), tsukuba);
-  RecordProperty("density", std::to_string(s.density));
-  RecordProperty("wrong", std::to_string(s.wrong));
-  RecordProperty("dense", std::to_string(s.dense));
-  RecordProperty("visible", std::to_string(s.visible));
-  EXPECT_LE(s.dense, c.dense);
-  EXPECT_LE(s.visible, c.visible);
+  RecordProperty("density", std::to_string(s.density()));
+  RecordProperty("wrong", std::to_string(s.wrong()));
+  RecordProperty("dense", std::to_string(s.all()));
+  RecordProperty("visible", std::to_string(s.visible()));
+  EXPECT_LE(s.all(), c.dense);
+  EXPECT_LE(s.visible(), c.visible);
   if (c.pair != Pair::tsukuba) {
-    EXPECT_LT(s.sub_pixel, 0.26);
+    EXPECT_LT(s.measured.subpixel.rms(), 0.26);
   } else if (options.preset != "thesis") {
-    EXPECT_LE(s.wrong, 2.5);
-    EXPECT_GE(s.density, options.preset == "default" ? 83 : 77);
+    EXPECT_LE(s.wrong(), 2.5);
+    EXPECT_GE(s.density(), options.preset == "default" ? 83 : 77);
   }
 }
 
@@ -113,7 +96,7 @@ TEST(Mwmf, PlainCorrelationOfTheThesis) {
   options.borders = "off";
   options.min_segment = 0;
   options.interpolation = "off";
-  EXPECT_NEAR(score(pair, mwmf(pair.left, pair.right, options), true).wrong, 6.0, 0.2);
+  EXPECT_NEAR(score(pair, mwmf(pair.left, pair.right, options), true).wrong(), 6.0, 0.2);
 }
 
 // OpenCV's matcher behind the same interface: labels, filters and interpolation are those of the other method.
@@ -126,9 +109,9 @@ TEST(Mwmf, SemiGlobalMatchingInPlaceOfCorrelation) {
   EXPECT_EQ(cv::countNonZero(result.disparity == 0), 0);
   EXPECT_GT(cv::countNonZero(result.origin == static_cast<uchar>(DisparityOrigin::measured)), 0.7 * pair.left.total());
   const Score s = score(pair, result, false);
-  RecordProperty("dense", std::to_string(s.dense));
-  EXPECT_LT(s.dense, 14);
-  EXPECT_LT(s.visible, 8);
+  RecordProperty("dense", std::to_string(s.all()));
+  EXPECT_LT(s.all(), 14);
+  EXPECT_LT(s.visible(), 8);
   options.min_disparity = 10;  // the nearest surfaces only
   options.interpolation = "off";
   const DisparityImage near = mwmf(pair.left, pair.right, options);
@@ -179,45 +162,26 @@ TEST(Mwmf, DoesNotDependOnThreads) {
   EXPECT_EQ(cv::countNonZero(one.origin != many.origin), 0);
 }
 
-// Slanted planes of known disparity, with noise 45 dB below the contrast of the texture (40 grey levels RMS).
+// Slanted planes of known disparity, with noise 45 dB below the contrast of the texture (40 grey levels RMS), and with
+// the noise of a camera whose whole range of 255 grey levels is 45 dB above it.
 TEST(Mwmf, SubPixelAccuracyOnSlantedPlanes) {
-  for (const char* preset : {"default", "quality"}) {
-    SCOPED_TRACE(preset);
-    constexpr int kPhases = 10;
-    double sum[kPhases] = {}, squares = 0;
-    int count[kPhases] = {}, measured = 0, wrong = 0, counted = 0;
-    for (int plane = 0; plane < 4; ++plane) {
-      const double d0 = plane % 2 == 0 ? 6.3 : 20.2, slope = plane % 2 == 0 ? 0.03 : -0.02;
-      auto [left, right] = testing::slanted_pair(cv::Size(320, 120), d0, slope, 1 + plane);
-      cv::RNG random(plane + 1);
-      for (cv::Mat1b* image : {&left, &right}) {
-        for (uchar& v : *image) v = cv::saturate_cast<uchar>(v + random.gaussian(40 / std::pow(10, 45.0 / 20)));
+  for (const double signal : {40.0, 255.0}) {
+    const std::vector<testing::TruthPair> planes = testing::slanted_planes(signal / std::pow(10, 45.0 / 20));
+    for (const char* preset : {"default", "quality"}) {
+      SCOPED_TRACE(fmt::format("{} {}", preset, signal));
+      MwmfOptions options = with_preset(preset);
+      options.disparities = 32;
+      evaluate::DisparityScore score;
+      for (const testing::TruthPair& plane : planes) {
+        const DisparityImage result = testing::before_interpolation(mwmf(plane.left, plane.right, options));
+        score.add(evaluate::score_disparities(result, plane.truth, {}, {}, {}));
       }
-      const DisparityImage result = mwmf(left, right, [&] {
-        MwmfOptions options = with_preset(preset);
-        options.disparities = 32;
-        return options;
-      }());
-      for (int y = 8; y < 112; ++y) {
-        for (int x = 40; x < 312; ++x) {
-          const float d = result.at(y, x, DisparityOrigin::measured);
-          ++counted;
-          if (d <= 0) continue;
-          const double truth = d0 + slope * x, error = d - truth;
-          const int phase = static_cast<int>(kPhases * (truth - std::floor(truth)));
-          ++measured;
-          wrong += std::abs(error) > 1;
-          sum[phase] += error;
-          ++count[phase];
-          squares += error * error;
-        }
-      }
+      RecordProperty(fmt::format("rms_{}_{}", preset, signal), std::to_string(score.subpixel.rms()));
+      EXPECT_GT(score.all.density(), 95);
+      EXPECT_EQ(score.all.bad[1], 0);
+      EXPECT_LE(score.subpixel.rms(), 0.08);
+      for (const evaluate::SubpixelScore& fraction : score.by_fraction) EXPECT_LE(std::abs(fraction.mean()), 0.02);
     }
-    RecordProperty(std::string("rms_") + preset, std::to_string(std::sqrt(squares / measured)));
-    EXPECT_GT(measured, 0.95 * counted);
-    EXPECT_EQ(wrong, 0);
-    EXPECT_LE(std::sqrt(squares / measured), 0.08);
-    for (int phase = 0; phase < kPhases; ++phase) EXPECT_LE(std::abs(sum[phase] / count[phase]), 0.02) << phase;
   }
 }
 

@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "iris/types/disparity_image.h"
 #include "support/npz.h"
 #include "support/test_data.h"
 
@@ -44,6 +45,27 @@ inline TruthPair motorcycle_pair() {
   return pair;
 }
 
+// Middlebury's Aloe at a third of its size, as Debian's opencv-doc brings it.
+inline std::filesystem::path aloe_folder() { return "/usr/share/doc/opencv-doc/examples/data"; }
+inline TruthPair aloe_pair() {
+  constexpr int kScale = 3;
+  const auto read = [](const char* name) {
+    cv::Mat1b image = cv::imread((aloe_folder() / name).string(), cv::IMREAD_GRAYSCALE);
+    return cv::Mat1b(image(cv::Rect(0, 0, image.cols / kScale * kScale, image.rows / kScale * kScale)));
+  };
+  TruthPair pair;
+  cv::resize(read("aloeL.jpg"), pair.left, cv::Size(), 1.0 / kScale, 1.0 / kScale, cv::INTER_AREA);
+  cv::resize(read("aloeR.jpg"), pair.right, cv::Size(), 1.0 / kScale, 1.0 / kScale, cv::INTER_AREA);
+  const cv::Mat1b coded = read("aloeGT.png");  // [px] of the full size
+  pair.truth.create(pair.left.size());
+  for (int y = 0; y < pair.truth.rows; ++y) {
+    for (int x = 0; x < pair.truth.cols; ++x) {
+      pair.truth(y, x) = static_cast<float>(coded(kScale * y + kScale / 2, kScale * x + kScale / 2)) / kScale;
+    }
+  }
+  return pair;
+}
+
 // Pixels whose surface the right camera sees: 255; hidden ones, those outside of its image and those without truth: 0.
 // The truth is warped into the right image, where of several surfaces the nearest is visible; a pixel is hidden if
 // another one lies before it there by more than a pixel of disparity.
@@ -70,6 +92,15 @@ inline cv::Mat1b visible_in_both(const cv::Mat1f& truth) {
     }
   }
   return visible;
+}
+
+// What was measured, without what interpolation filled in.
+inline DisparityImage before_interpolation(const DisparityImage& image) {
+  DisparityImage out{image.disparity.clone(), image.origin.clone()};
+  const cv::Mat1b filled = image.origin > static_cast<uint8_t>(DisparityOrigin::corrected);
+  out.disparity.setTo(0, filled);
+  out.origin.setTo(0, filled);
+  return out;
 }
 
 // Pair `index` of the EuRoC recording, rectified with OpenCV.
@@ -141,6 +172,27 @@ inline std::pair<cv::Mat1b, cv::Mat1b> slanted_pair(cv::Size size, double d0, do
     }
   }
   return pair;
+}
+
+// Four slanted planes for measuring the sub-pixel accuracy, their disparities covering all fractions of a pixel evenly,
+// with noise of this standard deviation [grey levels] on both images. Truth is unknown (0) near the edges.
+inline std::vector<TruthPair> slanted_planes(double noise) {
+  std::vector<TruthPair> planes;
+  for (int plane = 0; plane < 4; ++plane) {
+    const double d0 = plane % 2 == 0 ? 6.3 : 20.2, slope = plane % 2 == 0 ? 0.03 : -0.02;
+    const cv::Size size(320, 120);
+    auto [left, right] = slanted_pair(size, d0, slope, 1 + plane);
+    cv::RNG random(plane + 1);
+    for (cv::Mat1b* image : {&left, &right}) {
+      for (uchar& v : *image) v = cv::saturate_cast<uchar>(v + random.gaussian(noise));
+    }
+    cv::Mat1f truth(size, 0.0f);
+    for (int y = 8; y < size.height - 8; ++y) {
+      for (int x = 40; x < size.width - 8; ++x) truth(y, x) = static_cast<float>(d0 + slope * x);
+    }
+    planes.push_back({left, right, truth});
+  }
+  return planes;
 }
 
 }  // namespace iris::testing

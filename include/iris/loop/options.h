@@ -1,0 +1,38 @@
+#pragma once
+
+#include "iris/core/options.h"
+
+namespace iris::loop {
+
+// Loop closures: which views are compared, what makes a motion between them a loop, and what follows from it (thesis
+// 5.5 and ch. 10, which leave loops to later work).
+struct LoopOptions {
+  bool enabled = true;  // look for loops and correct the path by them
+  bool bundle = true;   // adjust all poses over all points afterwards
+  // Candidates.
+  int min_gap = 10;               // [stored views] pairs nearer in time are no loops: odometry links them well enough
+  int overlap_candidates = 6;     // most pairs a view that predicted overlap proposes; 0 = none
+  double min_overlap = 0.3;       // part of a view that is expected to be seen in the other one
+  int appearance_candidates = 4;  // most pairs a view that look alike, whatever the poses say; 0 = none
+  double min_similarity = 0.3;    // of appearance, as a part of how much the view resembles its neighbour in time
+  int descriptors = 300;          // features a view that stand for its appearance
+  // What odometry is trusted for.
+  double inflation = 2;      // [times] by which the standard deviations of motions are larger than they say
+  double drift = 0.005;      // [m/m] standard deviation of a systematic error in odometry's translation
+  double turn_drift = 0.02;  // [deg/m] and in its rotation
+  // Verification.
+  double max_turn = 180;       // [deg] largest rotation between the views (theta of 5.3), replaces motion.max_turn
+  bool rescue = true;          // compare with SIFT where corners do not match
+  int min_used = 25;           // least number of correspondences of a loop
+  double min_spread = 0.08;    // least part of the image (of both views) that they cover
+  double min_agreement = 0.8;  // least part of what both views measure that fits together
+  // Consistency between loops.
+  double max_chi_square = 22.5;  // of six degrees of freedom: 99.9 % of true ones
+  int min_support = 3;           // least number of loops that agree about how two sub-maps lie
+  // Resources.
+  int cache_mb = 512;  // [MB] of views that are kept while candidates are verified
+
+  void declare(OptionSet& set);
+};
+
+}  // namespace iris::loop

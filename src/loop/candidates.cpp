@@ -18,9 +18,10 @@ constexpr int kPoints = 40;  // of a sketch
 // Probability that a normal variable lies below 0.
 double below_zero(double mean, double sigma) { return 0.5 * std::erfc(mean / (sigma * std::sqrt(2.0))); }
 
-// Part of the points of b that a is expected to see.
+// Part of the points of b that a is expected to see; or, at best, what it can see if the error of the pose is as lucky
+// as three standard deviations allow.
 double seen_part(const ViewSketch& a, const ViewSketch& b, const Pose& a_from_b, const Matrix6d& covariance,
-                 const RectifiedCamera& camera) {
+                 const RectifiedCamera& camera, bool at_best) {
   constexpr double kNear = 0.1;                         // [m]
   constexpr double kLeastScale = 0.4;                   // corners are not recognised at other sizes
   constexpr double kFullView = 0.87, kLeastView = 0.5;  // cosines of the angle between the two sights: 30, 60 deg
@@ -37,21 +38,25 @@ double seen_part(const ViewSketch& a, const ViewSketch& b, const Pose& a_from_b,
     if (z < kNear) continue;
     const double scale = in_b.norm() / p.norm();
     if (scale * (1 + sigma_z / z) < kLeastScale || scale / (1 + sigma_z / z) > 1 / kLeastScale) continue;
-    const double sight = p.dot(p - b_in_a) / (p.norm() * (p - b_in_a).norm());
+    double sight = p.dot(p - b_in_a) / (p.norm() * (p - b_in_a).norm());
+    if (at_best) sight += 3 * std::sqrt(spread.trace()) / p.norm();
     if (sight < kLeastView) continue;
     const double x = camera.f * p.x() / z + camera.cx, y = camera.f * p.y() / z + camera.cy;
     const Eigen::RowVector3d to_x(camera.f / z, 0, -camera.f * p.x() / (z * z));
     const Eigen::RowVector3d to_y(0, camera.f / z, -camera.f * p.y() / (z * z));
     const double sigma_x = std::sqrt((to_x * spread * to_x.transpose()).value() + 1);
     const double sigma_y = std::sqrt((to_y * spread * to_y.transpose()).value() + 1);
-    const double inside = (below_zero(x - camera.width, sigma_x) - below_zero(x, sigma_x)) *
-                          (below_zero(y - camera.height, sigma_y) - below_zero(y, sigma_y));
+    const auto inside = [&](double at, double size, double sigma) {
+      if (at_best) return at > -3 * sigma && at < size + 3 * sigma ? 1.0 : 0.0;
+      return below_zero(at - size, sigma) - below_zero(at, sigma);
+    };
+    const double probability = inside(x, camera.width, sigma_x) * inside(y, camera.height, sigma_y);
     const int column =
         std::clamp(static_cast<int>(x * ViewSketch::kColumns / camera.width), 0, ViewSketch::kColumns - 1);
     const int row = std::clamp(static_cast<int>(y * ViewSketch::kRows / camera.height), 0, ViewSketch::kRows - 1);
     const double farthest = a.depth[static_cast<size_t>(row * ViewSketch::kColumns + column)];
     if (farthest > 0 && z - 3 * sigma_z > kHidden * farthest) continue;
-    sum += inside * std::min(1.0, (sight - kLeastView) / (kFullView - kLeastView));
+    sum += probability * std::min(1.0, (sight - kLeastView) / (kFullView - kLeastView));
   }
   return sum / static_cast<double>(b.points_in_cam.size());
 }
@@ -170,13 +175,13 @@ ViewSketch sketch(int frame_idx, const motion::ViewFeatures& features, const Rec
 }
 
 double expected_overlap(const ViewSketch& i, const ViewSketch& j, const RelativePose& relative,
-                        const RectifiedCamera& camera) {
+                        const RectifiedCamera& camera, bool at_best) {
   if (i.points_in_cam.empty() || j.points_in_cam.empty()) return 0;
-  const double first = seen_part(i, j, relative.i_from_j, relative.covariance, camera);
+  const double first = seen_part(i, j, relative.i_from_j, relative.covariance, camera, at_best);
   if (first == 0) return 0;
   const Pose j_from_i = relative.i_from_j.inverse();
   const Matrix6d to_j = adjoint(j_from_i);
-  return std::min(first, seen_part(j, i, j_from_i, to_j * relative.covariance * to_j.transpose(), camera));
+  return std::min(first, seen_part(j, i, j_from_i, to_j * relative.covariance * to_j.transpose(), camera, at_best));
 }
 
 std::vector<Candidate> overlap_candidates(const std::vector<ViewSketch>& views, const Odometry& odometry,
@@ -224,8 +229,8 @@ std::vector<Candidate> overlap_candidates(const std::vector<ViewSketch>& views, 
 std::vector<Candidate> appearance_candidates(const ViewIndex& index, const std::vector<ViewSketch>& views,
                                              const Odometry& odometry, const RectifiedCamera& camera,
                                              const LoopOptions& options) {
-  constexpr int kLooked = 20;         // times as many answers are looked at as are taken
-  constexpr double kExcluded = 0.02;  // overlap that cannot be
+  constexpr int kLooked = 20;        // times as many answers are looked at as are taken
+  constexpr double kExcluded = 0.5;  // times loop.min_overlap: what poses can at best make of it
   const int n = static_cast<int>(views.size());
   if (options.appearance_candidates == 0) return {};
   std::vector<std::vector<Partner>> partners(views.size());
@@ -239,9 +244,9 @@ std::vector<Candidate> appearance_candidates(const ViewIndex& index, const std::
             odometry.between(views[std::min(v, found.index)].frame_idx, views[std::max(v, found.index)].frame_idx);
         if (relative) {
           if (std::abs(v - found.index) < options.min_gap) continue;
-          const double overlap =
-              expected_overlap(views[std::min(v, found.index)], views[std::max(v, found.index)], *relative, camera);
-          if (overlap < kExcluded) continue;
+          const double overlap = expected_overlap(views[std::min(v, found.index)], views[std::max(v, found.index)],
+                                                  *relative, camera, /*at_best=*/true);
+          if (overlap < kExcluded * options.min_overlap) continue;
         }
         all.push_back({found.index, std::min(1.0, found.score)});
       }

@@ -163,7 +163,7 @@ std::vector<LoopEdge> find_loops(const PoseGraph& graph, const std::vector<int>&
       std::vector<int> members;
       for (int c = block; c < end; ++c) {
         const bool fails = edges[c].verdict == LoopVerdict::no_motion || edges[c].verdict == LoopVerdict::too_few_pairs;
-        if (!sift || (options.rescue && fails && candidates[c].source == Candidate::Source::appearance)) {
+        if (!sift || (options.rescue && fails)) {
           members.push_back(c);
         }
       }

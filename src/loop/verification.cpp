@@ -72,6 +72,7 @@ LoopEdge judged(const Candidate& candidate, const motion::TracedMotion& forward,
   const MotionEstimate& motion = forward.estimate;
   LoopEdge edge{.i = candidate.i, .j = candidate.j, .score = candidate.score, .source = candidate.source};
   edge.consistent = motion.consistent;
+  edge.motion = motion.status;
   edge.verdict = LoopVerdict::no_motion;
   if (motion.status != MotionStatus::ok) return edge;
   edge.i_from_j = motion.prev_from_cur;
@@ -103,16 +104,18 @@ LoopEdge judged(const Candidate& candidate, const motion::TracedMotion& forward,
   return edge;
 }
 
-template <class Features, class Trace>
-LoopEdge verified(const Candidate& candidate, const Features& i, const Features& j, const DisparityImage& i_disparity,
-                  const DisparityImage& j_disparity, const Trace& trace, const RectifiedCamera& camera,
-                  const motion::ScsOptions& scs, const LoopOptions& options) {
-  const motion::TracedMotion forward = trace(i, j, camera, scs);
+// The motion from j to i. Corners that fail to tell it from scratch, which few matches do by chance, are looked for
+// where the inverse of the motion from i to j predicts them.
+motion::TracedMotion backward_of(const motion::TracedMotion& forward, const motion::ViewFeatures& i,
+                                 const motion::ViewFeatures& j, bool from_scratch, const RectifiedCamera& camera,
+                                 const motion::ScsOptions& scs, const LoopOptions& options) {
   motion::TracedMotion backward;
-  if (forward.estimate.status == MotionStatus::ok && forward.estimate.used >= options.min_used) {
-    backward = trace(j, i, camera, scs);
-  }
-  return judged(candidate, forward, backward, i_disparity, j_disparity, camera, options);
+  if (forward.estimate.status != MotionStatus::ok || forward.estimate.used < options.min_used) return backward;
+  if (from_scratch) backward = motion::trace_motion(j, i, camera, scs);
+  if (backward.estimate.status == MotionStatus::ok) return backward;
+  backward.estimate = {.status = MotionStatus::too_few_consistent,
+                       .prev_from_cur = forward.estimate.prev_from_cur.inverse()};
+  return motion::with_predicted(backward, j, i, camera, scs);
 }
 
 // The largest set of mutually consistent edges of one pair of sub-maps; beyond kMost edges, of an even part of them, to
@@ -190,18 +193,25 @@ const char* name_of(LoopVerdict verdict) {
 motion::ScsOptions loop_motion_options(const motion::ScsOptions& scs, const LoopOptions& options) {
   motion::ScsOptions result = scs;
   result.max_turn = options.max_turn;
+  // Without a limit of the turn the consistency test is the same for all quarter turns, and SIFT bears them.
+  result.quarter_turns = scs.quarter_turns && !(options.rescue && options.max_turn >= 135);
   return result;
 }
 
 LoopEdge verify(const Candidate& candidate, const motion::ViewFeatures& i, const motion::ViewFeatures& j,
                 const RectifiedCamera& camera, const motion::ScsOptions& scs, const LoopOptions& options) {
-  return verified(candidate, i, j, i.disparity, j.disparity, motion::trace_motion, camera, scs, options);
+  const motion::TracedMotion forward = motion::trace_motion(i, j, camera, scs);
+  const motion::TracedMotion backward = backward_of(forward, i, j, /*from_scratch=*/true, camera, scs, options);
+  return judged(candidate, forward, backward, i.disparity, j.disparity, camera, options);
 }
 
 LoopEdge verify(const Candidate& candidate, const motion::RescueFeatures& i, const motion::RescueFeatures& j,
                 const RectifiedCamera& camera, const motion::ScsOptions& scs, const LoopOptions& options) {
-  LoopEdge edge =
-      verified(candidate, i, j, i.dense.disparity, j.dense.disparity, motion::rescue_motion, camera, scs, options);
+  const motion::TracedMotion forward = motion::rescue_motion(i, j, camera, scs);
+  // Keypoints that are each other's nearest are so both ways: from scratch would find the same.
+  const motion::TracedMotion backward =
+      backward_of(forward, i.dense, j.dense, /*from_scratch=*/false, camera, scs, options);
+  LoopEdge edge = judged(candidate, forward, backward, i.dense.disparity, j.dense.disparity, camera, options);
   edge.rescued = true;
   return edge;
 }

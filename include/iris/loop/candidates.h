@@ -33,9 +33,10 @@ ViewSketch sketch(int frame_idx, const motion::ViewFeatures& features, const Rec
 
 // The part of view i's points that view j is expected to see from a similar direction and distance, each weighted with
 // the probability that it falls into j's image, given how uncertain their relative pose is; and the other way round;
-// the smaller of both. Points behind what j measured are hidden.
+// the smaller of both. Points behind what j measured are hidden. at_best: what overlap there can be if the pose is
+// wrong by up to three standard deviations, each point on its own.
 double expected_overlap(const ViewSketch& i, const ViewSketch& j, const RelativePose& i_from_j,
-                        const RectifiedCamera& camera);
+                        const RectifiedCamera& camera, bool at_best = false);
 
 // Pairs of at least options.min_overlap that odometry joins and that are options.min_gap views apart; at most
 // options.overlap_candidates a view, well apart in time. Views in the order of their frames. Places are found by a

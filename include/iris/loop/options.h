@@ -19,7 +19,7 @@ struct LoopOptions {
   // What odometry is trusted for.
   double inflation = 2;      // [times] by which the standard deviations of motions are larger than they say
   double drift = 0.005;      // [m/m] standard deviation of a systematic error in odometry's translation
-  double turn_drift = 0.02;  // [deg/m] and in its rotation
+  double turn_drift = 0.05;  // [deg/m] and in its rotation
   // Verification.
   double max_turn = 180;       // [deg] largest rotation between the views (theta of 5.3), replaces motion.max_turn
   bool rescue = true;          // compare with SIFT where corners do not match

@@ -30,8 +30,9 @@ const char* name_of(LoopVerdict verdict);
 struct LoopEdge {
   int i = 0, j = 0;  // frame_idx, i < j
   Pose i_from_j = Pose::Identity();
-  Matrix6d covariance = Matrix6d::Zero();  // as in MotionEstimate
-  int used = 0, consistent = 0;            // correspondences, as in MotionEstimate
+  Matrix6d covariance = Matrix6d::Zero();               // as in MotionEstimate
+  int used = 0, consistent = 0;                         // correspondences, as in MotionEstimate
+  MotionStatus motion = MotionStatus::too_few_corners;  // from i to j
   double rms_px = 0;
   double score = 0;  // of the candidate
   Candidate::Source source = Candidate::Source::overlap;

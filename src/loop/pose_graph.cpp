@@ -1,0 +1,652 @@
+#include "iris/loop/pose_graph.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <numeric>
+#include <queue>
+
+#include "iris/core/error.h"
+#include "iris/core/parallel.h"
+#include "iris/loop/block_cholesky.h"
+#include "iris/motion/minimise.h"
+
+namespace iris::loop {
+
+void PoseGraphOptions::declare(OptionSet& set) {
+  set.section("loop");
+  set.add("odometry_sigma", odometry_sigma, "times", 0.1, 100,
+          "the errors of the motions between successive views are taken this many times as large as each motion's own "
+          "covariance says: larger lets loops pull more");
+  set.add("loop_sigma", loop_sigma, "times", 0.1, 100,
+          "the same for the motions found between views of a loop: larger lets loops pull less");
+  set.add("max_loop_error", max_loop_error, "standard deviations", 1, 1000,
+          "a loop that contradicts all others and the odometry by more than this loses weight quickly");
+  set.add(
+      "min_joining_loops", min_joining_loops, "loops", 1, 1000,
+      "so many loops must agree on how two sub-maps lie to each other before they are joined; 1 trusts a single one");
+  set.add("max_iterations", max_iterations, "", 1, 1000, "most iterations of the pose graph's minimisation");
+}
+
+namespace {
+
+using motion::cross_matrix;
+
+// Logarithm of a rotation.
+Eigen::Vector3d log_of(const Eigen::Matrix3d& rotation) {
+  const Eigen::AngleAxisd turn(rotation);
+  return turn.angle() * turn.axis();
+}
+
+// Derivative of log(exp(d) exp(phi)) by d at d = 0.
+Eigen::Matrix3d inverse_left_jacobian(const Eigen::Vector3d& phi) {
+  const double angle = phi.norm();
+  const double factor = angle < 1e-4 ? 1.0 / 12 : (1 - 0.5 * angle / std::tan(0.5 * angle)) / (angle * angle);
+  const Eigen::Matrix3d x = cross_matrix(phi);
+  return Eigen::Matrix3d::Identity() - 0.5 * x + factor * x * x;
+}
+
+// The pose after a step (dt, dw), made as a screw about the world's origin: a common step of many poses then moves them
+// as one rigid body, however large it is, and long chains bend without strain. The plain perturbation is its first
+// order.
+Pose screwed(const Pose& pose, const Vector6d& step) {
+  const Eigen::Vector3d w = step.tail<3>(), v = step.head<3>() - w.cross(pose.translation());
+  const double angle = w.norm();
+  Pose result = pose;
+  if (angle < 1e-9) {
+    result.translation() += step.head<3>();
+  } else {
+    const Eigen::Matrix3d turn = Eigen::AngleAxisd(angle, w / angle).toRotationMatrix();
+    const Eigen::Vector3d wv = w.cross(v);
+    result.translation() = turn * pose.translation() + v + (1 - std::cos(angle)) / (angle * angle) * wv +
+                           (angle - std::sin(angle)) / (angle * angle * angle) * w.cross(wv);
+    result.linear() = turn * pose.linear();
+  }
+  return result;
+}
+
+}  // namespace
+
+Vector6d edge_residual(const Pose& world_from_i, const Pose& world_from_j, const Pose& i_from_j) {
+  const Eigen::Matrix3d i_from_world = world_from_i.linear().transpose();
+  Vector6d residual;
+  residual << i_from_world * (world_from_j.translation() - world_from_i.translation()) - i_from_j.translation(),
+      log_of(i_from_world * world_from_j.linear() * i_from_j.linear().transpose());
+  return residual;
+}
+
+EdgeJacobians edge_jacobians(const Pose& world_from_i, const Pose& world_from_j, const Vector6d& residual) {
+  const Eigen::Matrix3d i_from_world = world_from_i.linear().transpose();
+  const Eigen::Matrix3d turn = inverse_left_jacobian(residual.tail<3>()) * i_from_world;
+  EdgeJacobians result;
+  result.by_i << -i_from_world,
+      i_from_world * cross_matrix(world_from_j.translation() - world_from_i.translation()),  //
+      Eigen::Matrix3d::Zero(), -turn;
+  result.by_j << i_from_world, Eigen::Matrix3d::Zero(),  //
+      Eigen::Matrix3d::Zero(), turn;
+  return result;
+}
+
+namespace {
+
+// An edge between places in the list of nodes.
+struct Link {
+  int i = 0, j = 0;
+  Pose i_from_j = Pose::Identity();
+  Matrix6d information, covariance;
+  bool loop = false;
+};
+
+// A guessed edge keeps at least what any motion between two frames obeys: 100 m and a turn are possible.
+Matrix6d least_information() {
+  Vector6d sigma;
+  sigma << 100, 100, 100, 6, 6, 6;
+  return sigma.cwiseInverse().cwiseAbs2().asDiagonal();
+}
+
+std::vector<Link> links_of(const PoseGraph& graph, const PoseGraphOptions& options) {
+  const auto place_of = [&](int frame_idx) {
+    const auto found = std::lower_bound(graph.nodes.begin(), graph.nodes.end(), frame_idx,
+                                        [](const PoseNode& node, int idx) { return node.frame_idx < idx; });
+    IRIS_CHECK(found != graph.nodes.end() && found->frame_idx == frame_idx);
+    return static_cast<int>(found - graph.nodes.begin());
+  };
+  std::vector<Link> links;
+  for (const PoseEdge& edge : graph.edges) {
+    IRIS_CHECK(edge.i != edge.j);
+    const bool loop = edge.kind == PoseEdgeKind::loop;
+    const double sigma = loop ? options.loop_sigma : options.odometry_sigma;
+    Link link{.i = place_of(edge.i), .j = place_of(edge.j), .i_from_j = edge.i_from_j, .loop = loop};
+    link.information = edge.information / (sigma * sigma) + 1e-12 * least_information();
+    if (edge.kind == PoseEdgeKind::guessed) link.information += least_information();
+    link.covariance = link.information.inverse();
+    links.push_back(link);
+  }
+  return links;
+}
+
+// Takes a perturbation (dt, dw) of a pose to the twist in the frame the pose leads to: exp(twist) pose.
+Matrix6d twist_by_perturbation(const Pose& pose) {
+  Matrix6d result = Matrix6d::Identity();
+  result.topRightCorner<3, 3>() = cross_matrix(pose.translation());
+  return result;
+}
+
+// Takes a twist in frame a to frame world (the adjoint).
+Matrix6d adjoint(const Pose& world_from_a) {
+  Matrix6d result = Matrix6d::Zero();
+  result.topLeftCorner<3, 3>() = result.bottomRightCorner<3, 3>() = world_from_a.linear();
+  result.topRightCorner<3, 3>() = cross_matrix(world_from_a.translation()) * world_from_a.linear();
+  return result;
+}
+
+Vector6d log_of(const Pose& pose) {
+  Vector6d twist;
+  const Eigen::Vector3d phi = log_of(Eigen::Matrix3d(pose.linear()));
+  twist << inverse_left_jacobian(phi) * pose.translation(), phi;
+  return twist;
+}
+
+// Poses that a spanning forest of edges gives, with their uncertainty. Twists in a common frame simply add up along a
+// path, so that the covariance between any two nodes is that of both to the root, less twice that of their last common
+// node.
+class Forest {
+ public:
+  Forest(const PoseGraph& graph, const std::vector<Link>& links) : graph_(graph), links_(links) {}
+
+  // Edges that `accept` takes, walked from the first node of each tree.
+  template <class Accept>
+  void grow(const Accept& accept) {
+    const size_t count = graph_.nodes.size();
+    tree_.assign(count, -1);
+    parent_.assign(count, -1);
+    depth_.assign(count, 0);
+    pose_.assign(count, Pose::Identity());
+    covariance_.assign(count, Matrix6d::Zero());
+    std::vector<std::vector<int>> links_of_node(count);
+    for (size_t k = 0; k < links_.size(); ++k) {
+      if (!accept(static_cast<int>(k))) continue;
+      links_of_node[links_[k].i].push_back(static_cast<int>(k));
+      links_of_node[links_[k].j].push_back(static_cast<int>(k));
+    }
+    trees_ = 0;
+    for (size_t root = 0; root < count; ++root) {
+      if (tree_[root] >= 0) continue;
+      tree_[root] = trees_;
+      pose_[root] = graph_.nodes[root].world_from_cam;
+      std::queue<int> open({static_cast<int>(root)});
+      for (; !open.empty(); open.pop()) {
+        const int node = open.front();
+        for (const int k : links_of_node[node]) {
+          const Link& link = links_[k];
+          const int other = link.i == node ? link.j : link.i;
+          if (tree_[other] >= 0) continue;
+          tree_[other] = trees_;
+          parent_[other] = node;
+          depth_[other] = depth_[node] + 1;
+          pose_[other] = link.i == node ? pose_[node] * link.i_from_j : pose_[node] * link.i_from_j.inverse();
+          covariance_[other] = covariance_[node] + in_root(link, pose_[link.i]);
+          open.push(other);
+        }
+      }
+      ++trees_;
+    }
+  }
+
+  int trees() const { return trees_; }
+  int tree(int node) const { return tree_[node]; }
+  const Pose& pose(int node) const { return pose_[node]; }
+
+  // Covariance of the twist between two nodes of a tree, in its root's frame.
+  Matrix6d covariance_between(int a, int b) const {
+    int c = a, d = b;
+    while (c != d) {
+      int& deeper = depth_[c] > depth_[d] ? c : d;
+      deeper = parent_[deeper];
+    }
+    return covariance_[a] + covariance_[b] - 2 * covariance_[c];
+  }
+
+  // Covariance of a link's own error as a twist in the frame that world_from_i leads to.
+  static Matrix6d in_root(const Link& link, const Pose& world_from_i) {
+    const Matrix6d to_root = adjoint(world_from_i) * twist_by_perturbation(link.i_from_j);
+    return to_root * link.covariance * to_root.transpose();
+  }
+
+  // Squared Mahalanobis distance between a link and what its tree says.
+  double disagreement(const Link& link) const {
+    const Matrix6d covariance = covariance_between(link.i, link.j) + in_root(link, pose_[link.i]);
+    const Vector6d twist = log_of(pose_[link.i] * link.i_from_j * pose_[link.j].inverse());
+    return twist.dot(covariance.ldlt().solve(twist));
+  }
+
+  // The same between two links from tree a to tree b.
+  double disagreement(const Link& first, const Link& second) const {
+    const int a = tree_[first.i];
+    const Pose first_place = placed(first, a), second_place = placed(second, a);  // a from b
+    const auto end_in = [&](const Link& link, bool in_a) { return (tree_[link.i] == a) == in_a ? link.i : link.j; };
+    const Matrix6d to_a = adjoint(first_place);
+    const Matrix6d covariance =
+        covariance_between(end_in(first, true), end_in(second, true)) +
+        to_a * covariance_between(end_in(first, false), end_in(second, false)) * to_a.transpose() + own(first, a) +
+        own(second, a);
+    const Vector6d twist = log_of(first_place * second_place.inverse());
+    return twist.dot(covariance.ldlt().solve(twist));
+  }
+
+ private:
+  // Where a link from tree a (or to it) places the other tree.
+  Pose placed(const Link& link, int a) const {
+    const Pose i_place = pose_[link.i] * link.i_from_j * pose_[link.j].inverse();
+    return tree_[link.i] == a ? i_place : i_place.inverse();
+  }
+  Matrix6d own(const Link& link, int a) const {
+    const Pose a_from_i = tree_[link.i] == a ? pose_[link.i] : placed(link, a) * pose_[link.i];
+    return in_root(link, a_from_i);
+  }
+
+  const PoseGraph& graph_;
+  const std::vector<Link>& links_;
+  std::vector<int> tree_, parent_, depth_;
+  std::vector<Pose> pose_;  // in the root node's world
+  std::vector<Matrix6d> covariance_;
+  int trees_ = 0;
+};
+
+// Groups of things that belong together; each is named by its first member.
+class UnionFind {
+ public:
+  explicit UnionFind(int size) : parent_(static_cast<size_t>(size)) { std::iota(parent_.begin(), parent_.end(), 0); }
+  int find(int a) {
+    while (parent_[a] != a) a = parent_[a] = parent_[parent_[a]];
+    return a;
+  }
+  bool join(int a, int b) {
+    a = find(a);
+    b = find(b);
+    if (a == b) return false;
+    parent_[std::max(a, b)] = std::min(a, b);
+    return true;
+  }
+
+ private:
+  std::vector<int> parent_;
+};
+
+// The loops that join trees: of each pair of trees the one that most others agree with; the pairs with most agreement
+// first, as long as they join something.
+std::vector<int> joining_links(const Forest& forest, const std::vector<Link>& links, double max_square, int min_votes) {
+  constexpr int kMaxHypotheses = 64;  // a pair with more loops: some of them, evenly chosen, are the hypotheses
+  std::map<std::pair<int, int>, std::vector<int>> between;
+  for (size_t k = 0; k < links.size(); ++k) {
+    const int a = forest.tree(links[k].i), b = forest.tree(links[k].j);
+    if (links[k].loop && a != b) between[std::minmax(a, b)].push_back(static_cast<int>(k));
+  }
+  struct Vote {
+    int votes = 0, link = 0;
+  };
+  std::vector<Vote> votes;
+  for (const auto& [trees, candidates] : between) {
+    const int count = static_cast<int>(candidates.size()), hypotheses = std::min(count, kMaxHypotheses);
+    Vote best;
+    for (int h = 0; h < hypotheses; ++h) {
+      const int candidate = candidates[static_cast<int64_t>(h) * count / hypotheses];
+      Vote vote{.link = candidate};
+      for (const int other : candidates) {
+        if (other == candidate || forest.disagreement(links[candidate], links[other]) < max_square) ++vote.votes;
+      }
+      if (vote.votes > best.votes) best = vote;
+    }
+    if (best.votes >= min_votes) votes.push_back(best);
+  }
+  std::stable_sort(votes.begin(), votes.end(), [](const Vote& a, const Vote& b) { return a.votes > b.votes; });
+  UnionFind groups(forest.trees());
+  std::vector<int> joining;
+  for (const Vote& vote : votes) {
+    const Link& link = links[vote.link];
+    if (groups.join(forest.tree(link.i), forest.tree(link.j))) joining.push_back(vote.link);
+  }
+  return joining;
+}
+
+// s^2 of dynamic covariance scaling, and its cost.
+double weight_of(double square, double phi) {
+  const double s = std::min(1.0, 2 * phi / (phi + square));
+  return s * s;
+}
+double robust(double square, double phi) { return square <= phi ? square : phi * (3 * square - phi) / (phi + square); }
+
+double square_of(const Link& link, const std::vector<Pose>& poses) {
+  const Vector6d residual = edge_residual(poses[link.i], poses[link.j], link.i_from_j);
+  return residual.dot(link.information * residual);
+}
+
+double cost_of(const std::vector<Link>& links, const std::vector<int>& active, const std::vector<Pose>& poses,
+               double phi) {
+  std::vector<double> costs(active.size());
+  parallel_chunks(0, static_cast<int>(active.size()), 512, [&](int begin, int end) {
+    for (int k = begin; k < end; ++k) {
+      const double square = square_of(links[active[k]], poses);
+      costs[k] = links[active[k]].loop ? robust(square, phi) : square;
+    }
+  });
+  return std::accumulate(costs.begin(), costs.end(), 0.0);
+}
+
+// The unknowns: all nodes but the first of each component.
+struct Unknowns {
+  std::vector<int> of_node;  // -1: fixed
+  int count = 0;
+};
+
+std::vector<std::pair<int, int>> pairs_of(const std::vector<Link>& links, const std::vector<int>& active,
+                                          const Unknowns& unknowns) {
+  std::vector<std::pair<int, int>> pairs;
+  for (const int k : active) pairs.emplace_back(unknowns.of_node[links[k].i], unknowns.of_node[links[k].j]);
+  return pairs;
+}
+
+std::vector<int> indices_of(const std::vector<char>& chosen) {
+  std::vector<int> indices;
+  for (size_t k = 0; k < chosen.size(); ++k) {
+    if (chosen[k]) indices.push_back(static_cast<int>(k));
+  }
+  return indices;
+}
+
+// Chordal relaxation: rotations as unconstrained matrices with R_j = R_i R_ij, each then replaced by the nearest
+// rotation; translations with t_j = t_i + R_i t_ij. Both are linear least squares. Nothing if one is singular.
+bool relax(const std::vector<Link>& links, const std::vector<int>& active, const Unknowns& unknowns,
+           std::vector<Pose>& poses) {
+  using Block = Eigen::Matrix3d;
+  BlockCholesky<3> system(unknowns.count, pairs_of(links, active, unknowns));
+  // Of each row r of the matrices: |r_j - r_i R_ij|^2, the unknowns being the columns r^T.
+  Eigen::MatrixXd right = Eigen::MatrixXd::Zero(3 * unknowns.count, 3);
+  for (size_t k = 0; k < active.size(); ++k) {
+    const Link& link = links[active[k]];
+    const int i = unknowns.of_node[link.i], j = unknowns.of_node[link.j];
+    const double weight = 3 / link.covariance.bottomRightCorner<3, 3>().trace();
+    const Eigen::Matrix3d& turn = link.i_from_j.linear();
+    if (i >= 0) system.add(i, weight * Block::Identity());
+    if (j >= 0) system.add(j, weight * Block::Identity());
+    system.add_pair(static_cast<int>(k), -weight * turn);
+    if (i < 0 && j >= 0) right.middleRows<3>(3 * j) += weight * (poses[link.i].linear() * turn).transpose();
+    if (j < 0 && i >= 0) right.middleRows<3>(3 * i) += weight * turn * poses[link.j].linear().transpose();
+  }
+  if (!system.factorise()) return false;
+  const Eigen::MatrixXd rows = system.solve(right);
+  std::vector<Pose> relaxed = poses;
+  for (size_t node = 0; node < poses.size(); ++node) {
+    const int at = unknowns.of_node[node];
+    if (at >= 0) relaxed[node].linear() = nearest_rotation(rows.middleRows<3>(3 * at).transpose());
+  }
+  system.set_zero();
+  Eigen::MatrixXd shift = Eigen::MatrixXd::Zero(3 * unknowns.count, 1);
+  for (size_t k = 0; k < active.size(); ++k) {
+    const Link& link = links[active[k]];
+    const int i = unknowns.of_node[link.i], j = unknowns.of_node[link.j];
+    const Eigen::Matrix3d& r = relaxed[link.i].linear();
+    const Block weight = r * link.covariance.topLeftCorner<3, 3>().inverse() * r.transpose();
+    // The step from the last node's to the first node's position, as far as it is known.
+    Eigen::Vector3d known = r * link.i_from_j.translation();
+    if (i < 0) known += relaxed[link.i].translation();
+    if (j < 0) known -= relaxed[link.j].translation();
+    if (i >= 0) {
+      system.add(i, weight);
+      shift.middleRows<3>(3 * i) -= weight * known;
+    }
+    if (j >= 0) {
+      system.add(j, weight);
+      shift.middleRows<3>(3 * j) += weight * known;
+    }
+    system.add_pair(static_cast<int>(k), -weight);
+  }
+  if (!system.factorise()) return false;
+  const Eigen::MatrixXd positions = system.solve(shift);
+  for (size_t node = 0; node < poses.size(); ++node) {
+    const int at = unknowns.of_node[node];
+    if (at >= 0) relaxed[node].translation() = positions.middleRows<3>(3 * at);
+  }
+  poses = std::move(relaxed);
+  return true;
+}
+
+// Gauss and Newton's normal equations at some poses.
+struct Linearised {
+  Matrix6d ii, jj, ij;
+  Vector6d gradient_i, gradient_j;
+};
+
+class Minimiser {
+ public:
+  Minimiser(const std::vector<Link>& links, std::vector<int> active, const Unknowns& unknowns)
+      : links_(links),
+        active_(std::move(active)),
+        unknowns_(unknowns),
+        system_(unknowns.count, pairs_of(links, active_, unknowns)),
+        parts_(active_.size()) {}
+
+  // Until the step is far below the uncertainty of the poses; phi falls from `phi` to `last_phi` on the way.
+  bool run(std::vector<Pose>& poses, double phi, double last_phi, int max_iterations, int& iterations) {
+    double damping = 0;  // weak modes of a long chain are 1e-12 of its diagonal: damp only where a step fails
+    bool rests = false;
+    const double fall = std::min(1.0 / 8, std::pow(last_phi / phi, 1.0 / 6));
+    for (int n = 0; n < max_iterations && !rests; ++n, ++iterations) {
+      if (n > 0) phi = std::max(last_phi, phi * fall);
+      const Eigen::VectorXd gradient = linearise(poses, phi);
+      const double cost = cost_of(links_, active_, poses, phi);
+      for (;;) {
+        if (!system_.factorise(damping)) {
+          damping = std::max(1e-9, damping * 10);
+          if (damping > 1e6) return false;
+          continue;
+        }
+        const Eigen::VectorXd step = system_.solve(-gradient);
+        const std::vector<Pose> moved = moved_by(poses, step);
+        const double decrease = -step.dot(gradient);  // squared step in standard deviations, if damping is small
+        const bool tiny = decrease < kRest;
+        if (tiny || cost_of(links_, active_, moved, phi) <= cost) {
+          poses = moved;
+          damping = damping < 1e-12 ? 0 : damping / 100;
+          rests = tiny && phi == last_phi && damping < 1e-6;
+          break;
+        }
+        damping = std::max(1e-12, damping * 10);
+        if (damping > 1e9) return phi == last_phi;  // nothing decreases the cost any more
+      }
+    }
+    return rests;
+  }
+
+  // The marginal covariances of the unknowns at some poses.
+  std::vector<Matrix6d> covariances(const std::vector<Pose>& poses, double phi) {
+    linearise(poses, phi);
+    double damping = 0;
+    while (!system_.factorise(damping)) {
+      damping = std::max(1e-12, damping * 100);
+      IRIS_CHECK(damping < 1);
+    }
+    return system_.inverse_diagonal();
+  }
+
+ private:
+  static constexpr double kRest = 1e-6;  // all poses together: a thousandth of a standard deviation
+
+  Eigen::VectorXd linearise(const std::vector<Pose>& poses, double phi) {
+    parallel_chunks(0, static_cast<int>(active_.size()), 128, [&](int begin, int end) {
+      for (int k = begin; k < end; ++k) {
+        const Link& link = links_[active_[k]];
+        const Vector6d residual = edge_residual(poses[link.i], poses[link.j], link.i_from_j);
+        const EdgeJacobians jacobians = edge_jacobians(poses[link.i], poses[link.j], residual);
+        const double weight = link.loop ? weight_of(residual.dot(link.information * residual), phi) : 1;
+        const Matrix6d weighted_i = weight * link.information * jacobians.by_i;
+        const Matrix6d weighted_j = weight * link.information * jacobians.by_j;
+        Linearised& part = parts_[k];
+        part.ii.noalias() = jacobians.by_i.transpose() * weighted_i;
+        part.jj.noalias() = jacobians.by_j.transpose() * weighted_j;
+        part.ij.noalias() = jacobians.by_i.transpose() * weighted_j;
+        part.gradient_i.noalias() = weighted_i.transpose() * residual;
+        part.gradient_j.noalias() = weighted_j.transpose() * residual;
+      }
+    });
+    Eigen::VectorXd gradient = Eigen::VectorXd::Zero(6 * unknowns_.count);
+    system_.set_zero();
+    for (size_t k = 0; k < active_.size(); ++k) {
+      const int i = unknowns_.of_node[links_[active_[k]].i], j = unknowns_.of_node[links_[active_[k]].j];
+      const Linearised& part = parts_[k];
+      if (i >= 0) {
+        system_.add(i, part.ii);
+        gradient.segment<6>(6 * i) += part.gradient_i;
+      }
+      if (j >= 0) {
+        system_.add(j, part.jj);
+        gradient.segment<6>(6 * j) += part.gradient_j;
+      }
+      system_.add_pair(static_cast<int>(k), part.ij);
+    }
+    return gradient;
+  }
+
+  std::vector<Pose> moved_by(const std::vector<Pose>& poses, const Eigen::VectorXd& step) const {
+    std::vector<Pose> moved = poses;
+    for (size_t node = 0; node < poses.size(); ++node) {
+      const int at = unknowns_.of_node[node];
+      if (at >= 0) moved[node] = screwed(poses[node], step.segment<6>(6 * at));
+    }
+    return moved;
+  }
+
+  const std::vector<Link>& links_;
+  std::vector<int> active_;
+  const Unknowns& unknowns_;
+  BlockCholesky<6> system_;
+  std::vector<Linearised> parts_;
+};
+
+double median(std::vector<double> values) {
+  if (values.empty()) return 0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+struct Solution {
+  std::vector<Pose> poses;
+  std::vector<char> fits;       // links that took part; the other loops contradict
+  std::vector<double> squares;  // Mahalanobis distances; infinite between components
+  double cost = 0;              // of all links within components
+  int iterations = 0;
+  bool converged = false;
+};
+
+// Minimises from given poses over the links that fit, leaves out loops that have no say (they cost time) and takes in
+// those that fit after all, until nothing changes.
+Solution settle(const std::vector<Link>& links, const std::vector<char>& inside, const Unknowns& unknowns,
+                std::vector<char> fits, std::vector<Pose> poses, double first_phi, const PoseGraphOptions& options) {
+  const double phi = options.max_loop_error * options.max_loop_error;
+  Solution solution{.poses = std::move(poses), .fits = std::move(fits)};
+  constexpr int kMaxRounds = 3;
+  for (int round = 0; round < kMaxRounds; ++round) {
+    Minimiser minimiser(links, indices_of(solution.fits), unknowns);
+    solution.converged =
+        minimiser.run(solution.poses, round == 0 ? first_phi : phi, phi, options.max_iterations, solution.iterations);
+    solution.squares.assign(links.size(), std::numeric_limits<double>::infinity());
+    solution.cost = 0;
+    bool changed = false;
+    for (size_t k = 0; k < links.size(); ++k) {
+      if (!inside[k]) continue;
+      const double square = solution.squares[k] = square_of(links[k], solution.poses);
+      solution.cost += links[k].loop ? robust(square, phi) : square;
+      if (!links[k].loop || round + 1 == kMaxRounds) continue;
+      const char fit = weight_of(square, phi) > (solution.fits[k] ? 1e-3 : kRejectedWeight);
+      changed = changed || fit != solution.fits[k];
+      solution.fits[k] = fit;
+    }
+    if (!changed) break;
+  }
+  return solution;
+}
+
+}  // namespace
+
+RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options) {
+  const int count = static_cast<int>(graph.nodes.size());
+  const std::vector<Link> links = links_of(graph, options);
+  const double phi = options.max_loop_error * options.max_loop_error;
+  const double max_gate = 4 * phi;  // covariances are first order and errors have tails: twice the distance
+
+  // Odometry alone, then with the loops that join sub-maps.
+  Forest forest(graph, links);
+  forest.grow([&](int k) { return !links[k].loop; });
+  const std::vector<int> joining = joining_links(forest, links, max_gate, options.min_joining_loops);
+  if (!joining.empty()) {
+    std::vector<bool> joins(links.size(), false);
+    for (const int k : joining) joins[k] = true;
+    forest.grow([&](int k) { return !links[k].loop || joins[k]; });
+  }
+  Unknowns unknowns{.of_node = std::vector<int>(static_cast<size_t>(count), -1)};
+  std::vector<Pose> poses(static_cast<size_t>(count));
+  std::vector<int> sizes(static_cast<size_t>(forest.trees()), 0);
+  for (int node = 0; node < count; ++node) {
+    poses[node] = forest.pose(node);
+    if (sizes[forest.tree(node)]++ > 0) unknowns.of_node[node] = unknowns.count++;
+  }
+
+  // Loops that the drift of the odometry explains.
+  std::vector<char> inside(links.size()), fits(links.size());
+  parallel_chunks(0, static_cast<int>(links.size()), 16, [&](int begin, int end) {
+    for (int k = begin; k < end; ++k) {
+      inside[k] = forest.tree(links[k].i) == forest.tree(links[k].j);
+      fits[k] = inside[k] && (!links[k].loop || forest.disagreement(links[k]) < max_gate);
+    }
+  });
+  const std::vector<int> active = indices_of(fits);
+  std::vector<Pose> relaxed = poses;
+  if (relax(links, active, unknowns, relaxed) &&
+      cost_of(links, active, relaxed, phi) < cost_of(links, active, poses, phi)) {
+    poses = std::move(relaxed);
+  }
+
+  // All loops have their full say at first. If some lose it, they may have been wrong from the start and have led
+  // astray: a second attempt in which half of the loops has it.
+  std::vector<double> of_loops;
+  for (const int k : active) {
+    if (links[k].loop) of_loops.push_back(square_of(links[k], poses));
+  }
+  const double largest = of_loops.empty() ? 0 : *std::max_element(of_loops.begin(), of_loops.end());
+  Solution solution = settle(links, inside, unknowns, fits, poses, std::max(phi, largest), options);
+  int iterations = solution.iterations;
+  if (solution.fits != fits) {
+    Solution second = settle(links, inside, unknowns, fits, poses, std::max(phi, 4 * median(of_loops)), options);
+    iterations += second.iterations;
+    if (second.cost < solution.cost) solution = std::move(second);
+  }
+
+  RefinedGraph result{.graph = graph, .iterations = iterations, .converged = solution.converged};
+  for (size_t k = 0; k < links.size(); ++k) {
+    result.edge_error.push_back(std::sqrt(solution.squares[k]));
+    result.edge_weight.push_back(links[k].loop ? weight_of(solution.squares[k], phi) : 1);
+  }
+  const std::vector<Matrix6d> covariances =
+      Minimiser(links, indices_of(solution.fits), unknowns).covariances(solution.poses, phi);
+  std::vector<int> order(sizes.size()), submap(sizes.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return sizes[a] > sizes[b]; });
+  for (size_t k = 0; k < order.size(); ++k) submap[order[k]] = static_cast<int>(k);
+  result.covariance.assign(static_cast<size_t>(count), Matrix6d::Zero());
+  for (int node = 0; node < count; ++node) {
+    PoseNode& refined = result.graph.nodes[node];
+    refined.submap = submap[forest.tree(node)];
+    const int at = unknowns.of_node[node];
+    if (at < 0) continue;
+    refined.world_from_cam = solution.poses[node];
+    refined.world_from_cam.linear() = nearest_rotation(solution.poses[node].linear());
+    result.covariance[node] = covariances[at];
+  }
+  return result;
+}
+
+}  // namespace iris::loop

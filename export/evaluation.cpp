@@ -14,6 +14,7 @@
 #include "export/evaluation_files.h"
 #include "export/evaluation_plots.h"
 #include "export/evaluation_sections.h"
+#include "export/trajectory_file.h"
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
@@ -127,6 +128,7 @@ class OutputFolder {
 
     FigureSection section = trajectory_section(errors, request_.trajectory, true);
     section.notes.insert(section.notes.begin(), fmt::format("{} against {}", main.path.string(), truth_path.string()));
+    add_odometry(section, pipeline::summarise_frames(workspace_, workspace::Poses::odometry).largest_submap);
     add_edges(section, submaps, errors);
     if (submaps.size() > 1) add_submaps(section, submaps);
     evaluation_.sections.push_back(std::move(section));
@@ -135,7 +137,7 @@ class OutputFolder {
   }
 
   void evaluate_disparities(const fs::path& folder) {
-    const auto views = workspace_.views(pipeline::world_from_submap(), -1, 0);
+    const auto views = workspace_.views(workspace::Poses::refined, -1, 0);
     const std::vector<int> indices = views_with_truth(*views, folder);
     const std::vector<int> shown = views_to_draw(*views, indices);
     std::vector<evaluate::DisparityScore> scores(indices.size());
@@ -270,9 +272,10 @@ class OutputFolder {
         true_poses[pair.stamp_ns] = pose;
       }
     }
+    const PoseGraph graph = workspace_.pose_graph(workspace::Poses::refined);
     // The file does not tell measured motions from loops.
     std::set<std::pair<int, int>> odometry;
-    for (const PoseEdge& edge : workspace_.pose_graph(pipeline::world_from_submap()).edges) {
+    for (const PoseEdge& edge : graph.edges) {
       if (edge.kind == PoseEdgeKind::odometry) odometry.emplace(edge.i, edge.j);
     }
     std::vector<evaluate::MotionEdge> motions, loops;
@@ -286,7 +289,38 @@ class OutputFolder {
           .push_back({stamps_.at(edge.i), stamps_.at(edge.j), edge.i_from_j, edge.information});
     }
     add_consistency(section, evaluate::evaluate_consistency(motions, true_poses),
-                    evaluate::evaluate_consistency(loops, true_poses));
+                    evaluate::evaluate_consistency(loops, true_poses),
+                    evaluate::evaluate_consistency(pose_edges(graph), true_poses));
+  }
+
+  // The poses as motions from the first camera of their sub-map: what their covariances are stated against.
+  std::vector<evaluate::MotionEdge> pose_edges(const PoseGraph& graph) const {
+    std::vector<evaluate::MotionEdge> edges;
+    std::map<int, const PoseNode*> first;
+    for (const PoseNode& node : graph.nodes) {
+      const PoseNode& from = *first.try_emplace(node.submap, &node).first->second;
+      if (&from == &node) continue;
+      Matrix6d turn = Matrix6d::Zero();  // of the perturbation, from the world into the first camera
+      turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = from.world_from_cam.linear().transpose();
+      const PoseEdge edge{.i = from.frame_idx,
+                          .j = node.frame_idx,
+                          .i_from_j = from.world_from_cam.inverse() * node.world_from_cam,
+                          .information = (turn * node.covariance * turn.transpose()).inverse()};
+      edges.push_back({from.stamp_ns, node.stamp_ns, edge.i_from_j, g2o_information(edge)});
+    }
+    return edges;
+  }
+
+  // The path before loops were closed: what the loop stage gains.
+  void add_odometry(FigureSection& section, int submap) const {
+    Trajectory odometry;
+    for (const PoseNode& node : workspace_.pose_graph(workspace::Poses::odometry).nodes) {
+      if (node.submap == submap) odometry.push_back({node.stamp_ns, node.world_from_cam});
+    }
+    if (evaluate::associate(odometry, truth_).size() < 2) return;
+    const TrajectoryErrors errors = evaluate::evaluate_trajectory(odometry, truth_, request_.trajectory);
+    section.figures.push_back(
+        {"chained_ate_rmse", "ATE before loop closure and refinement, RMS", errors.absolute.translation.rmse, "m"});
   }
 
   void add_submaps(FigureSection& section, const std::vector<SubMap>& submaps) const {

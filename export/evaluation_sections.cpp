@@ -207,14 +207,19 @@ FigureSection trajectory_section(const evaluate::TrajectoryErrors& errors, const
   return section;
 }
 
-void add_consistency(FigureSection& section, const evaluate::Consistency& motions, const evaluate::Consistency& loops) {
+void add_consistency(FigureSection& section, const evaluate::Consistency& motions, const evaluate::Consistency& loops,
+                     const evaluate::Consistency& poses) {
   if (motions.edges > 0) {
     add_motions(section, motions);
   } else {
     section.notes.push_back("no motion with truth on both sides: its covariances cannot be judged");
   }
-  if (loops.edges == 0) return;
   auto& f = section.figures;
+  if (poses.edges > 0) {
+    f.push_back({"pose_nees_mean", "NEES of the poses against the first, mean (6 expected)", poses.mean, "1"});
+    f.push_back({"pose_nees_median", "NEES of the poses against the first, median (5.35 expected)", poses.median, "1"});
+  }
+  if (loops.edges == 0) return;
   f.push_back({"loop_edges", "loops whose stated covariance is judged", count(loops.edges), ""});
   f.push_back({"loop_nees_mean", "NEES of the loops, mean (6 expected)", loops.mean, "1"});
   f.push_back({"loop_share_within", "loops within their 95 % band", 100 * loops.share_within, "%"});

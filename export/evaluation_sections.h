@@ -14,7 +14,8 @@ FigureSection trajectory_section(const evaluate::TrajectoryErrors& errors, const
                                  bool has_time);
 
 // Adds how well the stated covariances agree with the errors.
-void add_consistency(FigureSection& section, const evaluate::Consistency& motions, const evaluate::Consistency& loops);
+void add_consistency(FigureSection& section, const evaluate::Consistency& motions, const evaluate::Consistency& loops,
+                     const evaluate::Consistency& poses);
 
 FigureSection disparity_section(const evaluate::DisparityScore& score, const evaluate::DisparityOptions& options);
 

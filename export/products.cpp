@@ -25,6 +25,7 @@ namespace {
 
 using pipeline::RunControl;
 using pipeline::Stage;
+using workspace::Poses;
 using workspace::Workspace;
 using Files = std::vector<std::string>;
 
@@ -33,7 +34,7 @@ constexpr size_t kStreamCache = 0;
 constexpr size_t kTourCache = size_t{256} << 20;
 
 std::unique_ptr<views::ViewStore> main_views(const Workspace& workspace, size_t cache_bytes) {
-  return workspace.views(pipeline::world_from_submap(), pipeline::summarise_frames(workspace).largest_submap,
+  return workspace.views(Poses::refined, pipeline::summarise_frames(workspace, Poses::refined).largest_submap,
                          cache_bytes);
 }
 
@@ -48,10 +49,11 @@ Files files_in(const fs::path& out, const char* folder) {
 
 Files write_trajectory(const Workspace& workspace) {
   const fs::path folder = workspace.folder() / "trajectory";
-  const PoseGraph graph = workspace.pose_graph(pipeline::world_from_submap());
+  const PoseGraph graph = workspace.pose_graph(Poses::refined);
   write_tum(folder / "tum.txt", graph);
   write_kitti(folder / "kitti.txt", graph, workspace.frame_count());
-  write_g2o(folder / "graph.g2o", graph);
+  write_g2o(folder / "graph.g2o", graph, workspace.loops());
+  write_path_picture(folder / "path.png", workspace.pose_graph(Poses::odometry), graph);
   return files_in(workspace.folder(), "trajectory");
 }
 
@@ -107,7 +109,7 @@ Files write_maps(const Workspace& workspace, const RunOptions& options, const Ru
   }
   const fs::path folder = workspace.folder() / "map";
   const mapping::MapRaster raster = mapping::rasterise(builder.map(), mapping);
-  const PoseGraph graph = workspace.pose_graph(pipeline::world_from_submap());
+  const PoseGraph graph = workspace.pose_graph(Poses::refined);
   write_map(folder, raster, graph, first.submap);
   write_sheet(folder, raster, graph, first.submap, facts_of(workspace, raster, first.camera, graph, first.submap),
               options.sheet);
@@ -122,7 +124,7 @@ int write_tour(const Workspace& workspace, const RunOptions& options, const std:
   IRIS_CHECK(!views->summaries().empty());
   const int submap = views->summaries().front().submap;
   std::vector<PoseNode> nodes;
-  for (PoseNode& node : workspace.pose_graph(pipeline::world_from_submap()).nodes) {
+  for (PoseNode& node : workspace.pose_graph(Poses::refined).nodes) {
     if (node.submap == submap) nodes.push_back(node);
   }
   tour::TourOptions tour_options = options.library.tour;
@@ -168,18 +170,18 @@ std::vector<Stage> product_stages(const RunOptions& options) {
   return {
       Stage{.name = "trajectory",
             .sections = {},
-            .after = {"frames"},
+            .after = {"loop"},
             .inputs = {},
             .run = [](Workspace& w, const RunControl&, const std::string&) { return write_trajectory(w); }},
       Stage{.name = "map",
             .sections = {"mapping", "sheet"},
-            .after = {"frames"},
+            .after = {"loop"},
             .inputs = {},
             .run = [&options](Workspace& w, const RunControl& control,
                               const std::string&) { return write_maps(w, options, control); }},
       Stage{.name = "octree",
             .sections = {"octree"},
-            .after = {"frames"},
+            .after = {"loop"},
             .inputs = {},
             .run =
                 [&options](Workspace& w, const RunControl&, const std::string&) {
@@ -188,18 +190,18 @@ std::vector<Stage> product_stages(const RunOptions& options) {
                 }},
       Stage{.name = "scene",
             .sections = {"scene"},
-            .after = {"frames"},
+            .after = {"loop"},
             .inputs = {},
             .run =
                 [&options](Workspace& w, const RunControl&, const std::string&) {
-                  const auto views = w.views(pipeline::world_from_submap(), -1, kStreamCache);
-                  write_scene(w.folder() / "model/scene.glb", w.pose_graph(pipeline::world_from_submap()), *views,
-                              options.scene, fs::path(w.session_folder()).filename().string());
+                  const auto views = w.views(Poses::refined, -1, kStreamCache);
+                  write_scene(w.folder() / "model/scene.glb", w.pose_graph(Poses::refined), *views, options.scene,
+                              fs::path(w.session_folder()).filename().string());
                   return Files{"model/scene.glb"};
                 }},
       Stage{.name = "tour",
             .sections = {"render", "tour"},
-            .after = {"frames"},
+            .after = {"loop"},
             .inputs = {},
             .run =
                 [&options](Workspace& w, const RunControl& control, const std::string&) {

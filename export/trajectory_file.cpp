@@ -4,10 +4,12 @@
 
 #include <charconv>
 #include <iterator>
+#include <limits>
 #include <map>
 #include <string>
 #include <vector>
 
+#include "export/plot_file.h"
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 
@@ -137,7 +139,7 @@ Matrix6d g2o_information(const PoseEdge& edge) {
   return 0.5 * (information + information.transpose());
 }
 
-void write_g2o(const fs::path& path, const PoseGraph& graph) {
+void write_g2o(const fs::path& path, const PoseGraph& graph, const std::vector<workspace::LoopRecord>& loops) {
   std::string text;
   std::map<int, int> first_frame;
   for (const PoseNode& node : graph.nodes) {
@@ -147,6 +149,14 @@ void write_g2o(const fs::path& path, const PoseGraph& graph) {
     first_frame.emplace(node.submap, node.frame_idx);
   }
   for (const auto& [submap, frame_idx] : first_frame) text += fmt::format("FIX {}\n", frame_idx);
+  for (const workspace::LoopRecord& loop : loops) {
+    text += fmt::format("# loop {} {}: {}", loop.edge.i, loop.edge.j, name_of(loop.edge.verdict));
+    if (loop.edge.used > 0) text += fmt::format(", {} pairs", loop.edge.used);
+    if (loop.edge.verdict == loop::LoopVerdict::accepted) {
+      text += fmt::format(", {:.2f} standard deviations left", loop.error);
+    }
+    text += '\n';
+  }
   for (const PoseEdge& edge : graph.edges) {
     text += fmt::format("EDGE_SE3:QUAT {} {}", edge.i, edge.j);
     append_translation_and_quaternion(text, edge.i_from_j);
@@ -160,6 +170,45 @@ void write_g2o(const fs::path& path, const PoseGraph& graph) {
     text += '\n';
   }
   write_file(path, text);
+}
+
+void write_path_picture(const fs::path& path, const PoseGraph& odometry, const PoseGraph& refined) {
+  IRIS_CHECK(odometry.nodes.size() == refined.nodes.size());
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const Eigen::Vector2d gap(nan, nan);
+  PlotSeries before{.name = "chained", .colour = kGrey, .style = PlotSeries::Style::dashed},
+      after{.name = "refined", .colour = kBlue}, loops{.name = "loops", .colour = kOrange},
+      ends{.name = "start, end", .colour = kVermillion, .style = PlotSeries::Style::points};
+  std::map<int, Eigen::Vector2d> position_of_frame;
+  Pose refined_from_odometry = Pose::Identity();
+  for (size_t i = 0; i < refined.nodes.size(); ++i) {
+    const PoseNode &was = odometry.nodes[i], &is = refined.nodes[i];
+    IRIS_CHECK(was.frame_idx == is.frame_idx);
+    const bool begins = i == 0 || was.submap != odometry.nodes[i - 1].submap;
+    if (begins) {
+      refined_from_odometry = is.world_from_cam * was.world_from_cam.inverse();
+      before.points.push_back(gap);
+    }
+    if (i == 0 || is.submap != refined.nodes[i - 1].submap) after.points.push_back(gap);
+    before.points.push_back((refined_from_odometry * was.world_from_cam).translation().head<2>());
+    after.points.push_back(is.world_from_cam.translation().head<2>());
+    position_of_frame[is.frame_idx] = after.points.back();
+  }
+  for (const PoseEdge& edge : refined.edges) {
+    if (edge.kind != PoseEdgeKind::loop) continue;
+    loops.points.insert(loops.points.end(), {position_of_frame.at(edge.i), position_of_frame.at(edge.j), gap});
+  }
+  if (loops.points.empty()) loops.name.clear();
+  if (!refined.nodes.empty()) {
+    ends.points = {position_of_frame.at(refined.nodes.front().frame_idx),
+                   position_of_frame.at(refined.nodes.back().frame_idx)};
+  }
+  write_plot(path, {.title = "Path from above",
+                    .x_label = "x [m]",
+                    .y_label = "y [m]",
+                    .series = {before, after, loops, ends},
+                    .equal_axes = true,
+                    .height = 900});
 }
 
 }  // namespace iris::exporters

@@ -8,8 +8,10 @@
 #pragma once
 
 #include <filesystem>
+#include <vector>
 
 #include "iris/types/pose_graph.h"
+#include "iris/workspace/workspace.h"
 
 namespace iris::exporters {
 
@@ -26,8 +28,14 @@ void write_tum(const std::filesystem::path& path, const PoseGraph& graph);
 void write_kitti(const std::filesystem::path& path, const PoseGraph& graph, int frames_in_session);
 
 // g2o: VERTEX_SE3:QUAT (world from left camera, id = frame), FIX for the first frame of each sub-map, EDGE_SE3:QUAT
-// with the measurement i_from_j and the upper triangle of its information, see g2o_information.
-void write_g2o(const std::filesystem::path& path, const PoseGraph& graph);
+// with the measurement i_from_j and the upper triangle of its information, see g2o_information. Lines that begin with #,
+// which readers skip, tell of each of `loops` whether it is among the edges, or why not.
+void write_g2o(const std::filesystem::path& path, const PoseGraph& graph,
+               const std::vector<workspace::LoopRecord>& loops);
+
+// A picture of the path from above: as motions were chained (each sub-map laid on the refined path by its first camera)
+// and as refined, with the loops between. `refined` and `odometry` have the same frames.
+void write_path_picture(const std::filesystem::path& path, const PoseGraph& odometry, const PoseGraph& refined);
 
 // Information of an edge in g2o's coordinates. With X the estimate of i_from_j and Z its measurement, g2o's error is
 // e = (translation, vector part of the quaternion) of Z^-1 X: expressed in frame j, and the rotation as half its angle.

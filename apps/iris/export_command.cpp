@@ -29,7 +29,7 @@ int run(Export& state) {
   }
   auto workspace = workspace::Workspace::open(state.out);
   state.arguments.resolve(workspace.folder() / "options.toml");
-  if (!workspace.stage("frames")) {
+  if (!workspace.stage("loop")) {
     throw InputError(state.out, "its run is not finished", "finish it first with the same 'iris run' command");
   }
   std::vector<pipeline::Stage> wanted;

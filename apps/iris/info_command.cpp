@@ -73,15 +73,32 @@ void print_motions(const workspace::Workspace& workspace) {
       corners / n, initial / n, consistent / n, used / n, rms / n, motions, least_used);
 }
 
+// Every pair of views that was looked at, and what became of it.
+void print_loops(const workspace::Workspace& workspace) {
+  const std::vector<workspace::LoopRecord> loops = workspace.loops();
+  if (loops.empty()) return;
+  fmt::print("\nloop           pairs  consistent  error  verdict\n");
+  int accepted = 0;
+  for (const workspace::LoopRecord& loop : loops) {
+    const bool good = loop.edge.verdict == loop::LoopVerdict::accepted;
+    accepted += good;
+    fmt::print("{:5} - {:5}  {:5}  {:10}  {:>5}  {}\n", loop.edge.i, loop.edge.j, loop.edge.used, loop.edge.consistent,
+               good ? fmt::format("{:.2f}", loop.error) : "-", name_of(loop.edge.verdict));
+  }
+  fmt::print(" {} of {} accepted; error: what is left after refinement, in standard deviations\n", accepted,
+             loops.size());
+}
+
 void print_output(const workspace::Workspace& workspace) {
-  const pipeline::FramesSummary summary = pipeline::summarise_frames(workspace);
+  const workspace::Poses poses = workspace.stage("loop") ? workspace::Poses::refined : workspace::Poses::odometry;
+  const pipeline::FramesSummary summary = pipeline::summarise_frames(workspace, poses);
   fmt::print("output       {}\n", workspace.folder().string());
   fmt::print("session      {}\n", workspace.session_folder());
   fmt::print("frames       {}: {} with a pose, {} unreadable, {} sub-maps\n", summary.frames, summary.posed,
              summary.unreadable, summary.submaps);
   fmt::print("path         {:.3f} m\n", summary.path_length);
   fmt::print("views        {}\n", summary.views);
-  for (const char* name : {"frames", "trajectory", "map", "octree", "scene", "tour"}) {
+  for (const char* name : {"frames", "loop", "trajectory", "map", "octree", "scene", "tour"}) {
     const auto record = workspace.stage(name);
     fmt::print("stage        {:<10} {}\n", name, record ? "done" : "not finished");
     if (!record) continue;
@@ -90,6 +107,7 @@ void print_output(const workspace::Workspace& workspace) {
     }
   }
   print_motions(workspace);
+  print_loops(workspace);
 }
 
 int info(Info& info) {

@@ -11,6 +11,7 @@
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
 #include "iris/pipeline/frames.h"
+#include "iris/pipeline/loop.h"
 
 namespace iris::app {
 namespace fs = std::filesystem;
@@ -18,7 +19,8 @@ namespace {
 
 struct Run {
   explicit Run(CLI::App& command)
-      : arguments(command, {"session", "stereo", "motion", "views", "mapping", "sheet", "octree", "scene", "render", "tour"}) {}
+      : arguments(command, {"session", "stereo", "motion", "views", "loop", "mapping", "sheet", "octree", "scene",
+                            "render", "tour"}) {}
   std::string session, out;
   bool debug_motion = false;
   Arguments arguments;
@@ -53,7 +55,8 @@ int run(Run& run) {
   write_options(out, arguments.set);
 
   if (run.debug_motion) arguments.options.library.motion_pictures = out / "debug" / "motion";
-  std::vector<pipeline::Stage> stages = {pipeline::frames_stage(*session, arguments.options.library)};
+  std::vector<pipeline::Stage> stages = {pipeline::frames_stage(*session, arguments.options.library),
+                                         pipeline::loop_stage(arguments.options.library)};
   for (pipeline::Stage& stage : exporters::product_stages(arguments.options)) stages.push_back(std::move(stage));
   std::vector<std::string> ran;
   with_threads(arguments.threads(),
@@ -62,7 +65,7 @@ int run(Run& run) {
     spdlog::warn("--debug-motion: the motions were found by an earlier run; pictures of them come with a new folder");
   }
 
-  const pipeline::FramesSummary summary = pipeline::summarise_frames(workspace);
+  const pipeline::FramesSummary summary = pipeline::summarise_frames(workspace, workspace::Poses::refined);
   spdlog::info("{} of {} frames have a pose, {:.2f} m of path, {} stored views", summary.posed, session->size(),
                summary.path_length, summary.views);
   if (summary.unreadable > 0) spdlog::warn("{} frames could not be read and were skipped", summary.unreadable);

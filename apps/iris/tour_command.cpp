@@ -20,7 +20,7 @@ int run(Tour& state) {
   if (!state.video.ends_with(".mp4")) throw UsageError("-o " + state.video + ": the video's name must end in .mp4");
   auto workspace = workspace::Workspace::open(state.out);
   state.arguments.resolve(workspace.folder() / "options.toml");
-  if (!workspace.stage("frames")) {
+  if (!workspace.stage("loop")) {
     throw InputError(state.out, "its run is not finished", "finish it first with the same 'iris run' command");
   }
   with_threads(state.arguments.threads(), [&] {

@@ -259,7 +259,7 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
         "--stereo.disparities to see them",
         at_limit, registered);
   }
-  if (summarise_frames(workspace).posed == 0) {
+  if (summarise_frames(workspace, workspace::Poses::odometry).posed == 0) {
     throw InputError(session.folder(), "none of its frames could be used", "see the log for the reason of each");
   }
   return {};
@@ -278,21 +278,20 @@ Stage frames_stage(const session::Session& session, const Options& options) {
           }};
 }
 
-FramesSummary summarise_frames(const workspace::Workspace& workspace) {
+FramesSummary summarise_frames(const workspace::Workspace& workspace, workspace::Poses poses) {
   FramesSummary summary;
   std::map<int, int> poses_of_submap;
   std::map<int, Eigen::Vector3d> last_position;
   workspace.for_each_frame([&](const workspace::FrameRecord& record) {
     ++summary.frames;
-    if (!record.readable) {
-      ++summary.unreadable;
-      return;
-    }
-    ++summary.posed;
-    const Eigen::Vector3d position = record.submap_from_cam.translation();
-    if (poses_of_submap[record.submap]++ > 0) summary.path_length += (position - last_position[record.submap]).norm();
-    last_position[record.submap] = position;
+    if (!record.readable) ++summary.unreadable;
   });
+  for (const PoseNode& node : workspace.pose_graph(poses).nodes) {
+    ++summary.posed;
+    const Eigen::Vector3d position = node.world_from_cam.translation();
+    if (poses_of_submap[node.submap]++ > 0) summary.path_length += (position - last_position[node.submap]).norm();
+    last_position[node.submap] = position;
+  }
   summary.submaps = static_cast<int>(poses_of_submap.size());
   int most = 0;
   for (const auto& [submap, poses] : poses_of_submap) {
@@ -304,7 +303,5 @@ FramesSummary summarise_frames(const workspace::Workspace& workspace) {
   summary.views = workspace.view_count();
   return summary;
 }
-
-Pose world_from_submap() { return z_up_from_camera(); }
 
 }  // namespace iris::pipeline

@@ -20,7 +20,7 @@ namespace fs = std::filesystem;
 namespace {
 
 // Raised whenever the tables change: a workspace of another version is refused, not misread.
-constexpr int kSchema = 1;
+constexpr int kSchema = 2;
 
 constexpr const char* kTables = R"(
 CREATE TABLE IF NOT EXISTS about  (name TEXT PRIMARY KEY, text TEXT NOT NULL) WITHOUT ROWID;
@@ -37,7 +37,21 @@ CREATE TABLE IF NOT EXISTS view   (frame_idx INTEGER PRIMARY KEY, f REAL NOT NUL
                                    baseline REAL NOT NULL, disparity_offset REAL NOT NULL,
                                    width INTEGER NOT NULL, height INTEGER NOT NULL, min_disparity REAL NOT NULL,
                                    max_disparity REAL NOT NULL, disparity_scale INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS refined(frame_idx INTEGER PRIMARY KEY, submap INTEGER NOT NULL, world_from_cam BLOB NOT NULL,
+                                   covariance BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS loop   (i INTEGER NOT NULL, j INTEGER NOT NULL, i_from_j BLOB NOT NULL, covariance BLOB NOT NULL,
+                                   used INTEGER NOT NULL, consistent INTEGER NOT NULL, motion INTEGER NOT NULL,
+                                   rms_px REAL NOT NULL, score REAL NOT NULL, source INTEGER NOT NULL,
+                                   rescued INTEGER NOT NULL, spread REAL NOT NULL, agreement REAL NOT NULL,
+                                   chi_square REAL NOT NULL, verdict INTEGER NOT NULL, error REAL NOT NULL,
+                                   PRIMARY KEY (i, j)) WITHOUT ROWID;
 )";
+
+// With these the queries of poses read alike: frame_idx, submap, pose.
+const char* table_of(Poses poses) {
+  return poses == Poses::refined ? "(SELECT frame_idx, submap, world_from_cam AS pose, covariance FROM refined)"
+                                 : "(SELECT frame_idx, submap, submap_from_cam AS pose, NULL AS covariance FROM pose)";
+}
 
 // An advisory lock for the life of the workspace; the system drops it however the process ends.
 class FolderLock {
@@ -307,7 +321,9 @@ void Workspace::forget(const std::string& name) {
 void Workspace::clear_frames() {
   {
     Transaction transaction(impl_->database);
-    impl_->database.run("DELETE FROM frame; DELETE FROM pose; DELETE FROM motion; DELETE FROM view; DELETE FROM value");
+    impl_->database.run(
+        "DELETE FROM frame; DELETE FROM pose; DELETE FROM motion; DELETE FROM view; DELETE FROM value; "
+        "DELETE FROM refined; DELETE FROM loop");
     transaction.commit();
   }
   std::error_code ignored;
@@ -392,32 +408,95 @@ std::optional<int> Workspace::last_view_frame() const {
   return static_cast<int>(select.integer(0));
 }
 
-PoseGraph Workspace::pose_graph(const Pose& world_from_submap) const {
+void Workspace::set_refined(const RefinedPath& path) {
+  const Database& db = impl_->database;
+  Transaction transaction(db);
+  db.run("DELETE FROM refined; DELETE FROM loop");
+  for (const PoseNode& node : path.nodes) {
+    Statement(db, "INSERT INTO refined VALUES (?1, ?2, ?3, ?4)")
+        .bind(node.frame_idx, node.submap, matrix_of(node.world_from_cam), node.covariance)
+        .step();
+  }
+  for (const LoopRecord& loop : path.loops) {
+    const loop::LoopEdge& e = loop.edge;
+    Statement(db, "INSERT INTO loop VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16)")
+        .bind(e.i, e.j, matrix_of(e.i_from_j), e.covariance, e.used, e.consistent, static_cast<int>(e.motion), e.rms_px,
+              e.score, static_cast<int>(e.source), e.rescued, e.spread, e.agreement, e.chi_square,
+              static_cast<int>(e.verdict), loop.error)
+        .step();
+  }
+  transaction.commit();
+}
+
+std::vector<LoopRecord> Workspace::loops() const {
+  Statement select(impl_->database,
+                   "SELECT i, j, i_from_j, covariance, used, consistent, motion, rms_px, score, source, rescued, "
+                   "spread, agreement, chi_square, verdict, error FROM loop ORDER BY i, j");
+  std::vector<LoopRecord> loops;
+  while (select.step()) {
+    LoopRecord loop;
+    loop.edge.i = static_cast<int>(select.integer(0));
+    loop.edge.j = static_cast<int>(select.integer(1));
+    loop.edge.i_from_j = pose_of(select.matrix<Eigen::Matrix<double, 3, 4>>(2));
+    loop.edge.covariance = select.matrix<Matrix6d>(3);
+    loop.edge.used = static_cast<int>(select.integer(4));
+    loop.edge.consistent = static_cast<int>(select.integer(5));
+    loop.edge.motion = static_cast<MotionStatus>(select.integer(6));
+    loop.edge.rms_px = select.real(7);
+    loop.edge.score = select.real(8);
+    loop.edge.source = static_cast<loop::Candidate::Source>(select.integer(9));
+    loop.edge.rescued = select.integer(10) != 0;
+    loop.edge.spread = select.real(11);
+    loop.edge.agreement = select.real(12);
+    loop.edge.chi_square = select.real(13);
+    loop.edge.verdict = static_cast<loop::LoopVerdict>(select.integer(14));
+    loop.error = select.real(15);
+    loops.push_back(loop);
+  }
+  return loops;
+}
+
+PoseGraph Workspace::pose_graph(Poses poses) const {
   PoseGraph graph;
+  Statement select(impl_->database, fmt::format("SELECT frame_idx, stamp_ns, submap, pose, covariance FROM frame "
+                                                "JOIN {} USING (frame_idx) ORDER BY frame_idx",
+                                                table_of(poses)));
+  while (select.step()) {
+    PoseNode node{.frame_idx = static_cast<int>(select.integer(0)),
+                  .stamp_ns = select.integer(1),
+                  .world_from_cam = pose_of(select.matrix<Eigen::Matrix<double, 3, 4>>(3)),
+                  .submap = static_cast<int>(select.integer(2))};
+    if (poses == Poses::refined) node.covariance = select.matrix<Matrix6d>(4);
+    graph.nodes.push_back(node);
+  }
   for_each_frame([&](const FrameRecord& record) {
-    if (!record.readable) return;
-    graph.nodes.push_back({.frame_idx = record.frame_idx,
-                           .stamp_ns = record.stamp_ns,
-                           .world_from_cam = world_from_submap * record.submap_from_cam,
-                           .submap = record.submap});
-    if (record.reference_frame >= 0) {
-      graph.edges.push_back(
-          {.i = record.reference_frame,
-           .j = record.frame_idx,
-           .i_from_j = record.motion.prev_from_cur,
-           .information = record.motion.covariance.inverse(),
-           .kind = record.motion.status == MotionStatus::guessed ? PoseEdgeKind::guessed : PoseEdgeKind::odometry});
-    }
+    if (!record.readable || record.reference_frame < 0) return;
+    graph.edges.push_back(
+        {.i = record.reference_frame,
+         .j = record.frame_idx,
+         .i_from_j = record.motion.prev_from_cur,
+         .information = record.motion.covariance.inverse(),
+         .kind = record.motion.status == MotionStatus::guessed ? PoseEdgeKind::guessed : PoseEdgeKind::odometry});
   });
+  if (poses == Poses::odometry) return graph;
+  for (const LoopRecord& loop : loops()) {
+    if (loop.edge.verdict != loop::LoopVerdict::accepted) continue;
+    graph.edges.push_back({.i = loop.edge.i,
+                           .j = loop.edge.j,
+                           .i_from_j = loop.edge.i_from_j,
+                           .information = loop.edge.covariance.inverse(),
+                           .kind = PoseEdgeKind::loop});
+  }
   return graph;
 }
 
-std::unique_ptr<views::ViewStore> Workspace::views(const Pose& world_from_submap, int submap,
-                                                   size_t cache_bytes) const {
+std::unique_ptr<views::ViewStore> Workspace::views(Poses poses, int submap, size_t cache_bytes) const {
   Statement select(impl_->database,
-                   "SELECT frame_idx, submap, f, cx, cy, baseline, disparity_offset, width, height, min_disparity, "
-                   "max_disparity, disparity_scale, stamp_ns, submap_from_cam FROM view JOIN frame USING (frame_idx) "
-                   "JOIN pose USING (frame_idx) WHERE ?1 < 0 OR submap = ?1 ORDER BY frame_idx");
+                   fmt::format("SELECT frame_idx, submap, f, cx, cy, baseline, disparity_offset, width, height, "
+                               "min_disparity, max_disparity, disparity_scale, stamp_ns, pose FROM view "
+                               "JOIN frame USING (frame_idx) JOIN {} USING (frame_idx) "
+                               "WHERE ?1 < 0 OR submap = ?1 ORDER BY frame_idx",
+                               table_of(poses)));
   select.bind(submap);
   std::vector<ViewRow> rows;
   while (select.step()) {
@@ -435,7 +514,7 @@ std::unique_ptr<views::ViewStore> Workspace::views(const Pose& world_from_submap
     row.summary.max_disparity = select.real(10);
     row.disparity_scale = static_cast<int>(select.integer(11));
     row.stamp_ns = select.integer(12);
-    row.summary.world_from_cam = world_from_submap * pose_of(select.matrix<Eigen::Matrix<double, 3, 4>>(13));
+    row.summary.world_from_cam = pose_of(select.matrix<Eigen::Matrix<double, 3, 4>>(13));
     rows.push_back(row);
   }
   return std::make_unique<CachedViewStore>(impl_->views_folder(), std::move(rows), cache_bytes);

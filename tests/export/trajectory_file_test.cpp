@@ -183,7 +183,7 @@ TEST_F(TrajectoryFile, G2oRoundTrip) {
                          .information = Matrix6d::Identity(),
                          .kind = PoseEdgeKind::loop});
   for (size_t i = 4; i < 6; ++i) graph.nodes[i].submap = 1;
-  write_g2o(folder_ / "graph.g2o", graph);
+  write_g2o(folder_ / "graph.g2o", graph, {});
   size_t vertices = 0, edges = 0;
   std::vector<int> fixed;
   for (const std::string& line : lines_of(folder_ / "graph.g2o")) {
@@ -285,7 +285,7 @@ TEST_F(TrajectoryFile, SameGraphSameBytesAndEveryChangeShows) {
   const auto bytes = [&](const PoseGraph& g) {
     write_tum(folder_ / "a.tum", g);
     write_kitti(folder_ / "a.kitti", g, 8);
-    write_g2o(folder_ / "a.g2o", g);
+    write_g2o(folder_ / "a.g2o", g, {});
     return std::array{read_file(folder_ / "a.tum"), read_file(folder_ / "a.kitti"), read_file(folder_ / "a.g2o")};
   };
   const auto before = bytes(graph);
@@ -313,7 +313,7 @@ TEST_F(TrajectoryFile, SameGraphSameBytesAndEveryChangeShows) {
 
 TEST_F(TrajectoryFile, NoPosesGiveEmptyFilesAndUnwritablePlacesAnError) {
   write_tum(folder_ / "tum.txt", PoseGraph());
-  write_g2o(folder_ / "graph.g2o", PoseGraph());
+  write_g2o(folder_ / "graph.g2o", PoseGraph(), {});
   write_kitti(folder_ / "kitti.txt", PoseGraph(), 2);
   EXPECT_EQ(read_file(folder_ / "tum.txt"), "");
   EXPECT_EQ(read_file(folder_ / "graph.g2o"), "");
@@ -321,7 +321,7 @@ TEST_F(TrajectoryFile, NoPosesGiveEmptyFilesAndUnwritablePlacesAnError) {
   const PoseGraph graph = random_graph(2);
   EXPECT_THROW(write_tum(folder_ / "tum.txt" / "below_a_file.txt", graph), InputError);
   EXPECT_THROW(write_kitti(folder_ / "tum.txt" / "below_a_file.txt", graph, 2), InputError);
-  EXPECT_THROW(write_g2o(folder_ / "tum.txt" / "below_a_file.txt", graph), InputError);
+  EXPECT_THROW(write_g2o(folder_ / "tum.txt" / "below_a_file.txt", graph, {}), InputError);
 }
 
 }  // namespace

@@ -157,7 +157,7 @@ TEST(SummariseFrames, CountsPosesSubMapsAndPath) {
     record.submap_from_cam.translation().x() = i < 3 ? i : 2.0 * (i - 4);
     workspace.add_frame(record, nullptr);
   }
-  const FramesSummary summary = summarise_frames(workspace);
+  const FramesSummary summary = summarise_frames(workspace, workspace::Poses::odometry);
   EXPECT_EQ(summary.frames, 7);
   EXPECT_EQ(summary.posed, 6);
   EXPECT_EQ(summary.unreadable, 1);

@@ -36,7 +36,8 @@ Result reconstruct(const std::filesystem::path& recording) {
   const auto session = session::open_session(recording, defaults.session);
   auto workspace = workspace::Workspace::create(folder.path() / "out", "s", "f");
   with_threads(available_threads(), [&] { run_stages({frames_stage(*session, defaults)}, set, workspace, {}); });
-  return {workspace.pose_graph(world_from_submap()), summarise_frames(workspace), session->size()};
+  using workspace::Poses;
+  return {workspace.pose_graph(Poses::odometry), summarise_frames(workspace, Poses::odometry), session->size()};
 }
 
 evaluate::Trajectory trajectory_of(const PoseGraph& graph) {

@@ -128,29 +128,65 @@ TEST(Workspace, GivesBackEveryRecordBitForBitAfterReopening) {
   EXPECT_EQ(last[1].frame_idx, 4);
 }
 
-TEST(Workspace, PoseGraphAndViewsAreInTheWorld) {
+TEST(Workspace, PoseGraphAndViewsAreThoseThatAreAskedFor) {
   const TemporaryFolder folder;
   Workspace workspace = Workspace::create(folder.path() / "out", "s", "f");
   for (int i = 0; i < 4; ++i) {
     const StereoView view = test_view(i, false);
     workspace.add_frame(posed(i, i / 2), &view);
   }
-  const Pose world = z_up_from_camera();
-  const PoseGraph graph = workspace.pose_graph(world);
+  const PoseGraph graph = workspace.pose_graph(Poses::odometry);
   ASSERT_EQ(graph.nodes.size(), 4u);
   ASSERT_EQ(graph.edges.size(), 3u);
-  EXPECT_TRUE(graph.nodes[2].world_from_cam.isApprox(world * posed(2, 1).submap_from_cam, 1e-15));
+  EXPECT_TRUE(graph.nodes[2].world_from_cam.affine() == posed(2, 1).submap_from_cam.affine());
+  EXPECT_TRUE(graph.nodes[2].covariance.isZero());
   EXPECT_LT((graph.edges[0].information * posed(1, 0).motion.covariance - Matrix6d::Identity()).norm(), 1e-9);
+  EXPECT_TRUE(workspace.pose_graph(Poses::refined).nodes.empty());
+  EXPECT_TRUE(workspace.loops().empty());
 
-  const auto all = workspace.views(world, -1, 1);
-  const auto second = workspace.views(world, 1, 1);
+  // Refined: turned upright, and frame 2 has come to the first sub-map by a loop; another pair was rejected.
+  const Pose world = z_up_from_camera();
+  RefinedPath refined{.nodes = graph.nodes, .loops = {}};
+  for (PoseNode& node : refined.nodes) {
+    node.world_from_cam = world * node.world_from_cam;
+    node.covariance = (1 + node.frame_idx) * Matrix6d::Identity();
+  }
+  refined.nodes[2].submap = 0;
+  LoopRecord accepted{.edge = {.i = 0, .j = 2, .i_from_j = world, .used = 50}, .error = 1.5};
+  accepted.edge.covariance = 0.25 * Matrix6d::Identity();
+  accepted.edge.verdict = loop::LoopVerdict::accepted;
+  refined.loops = {accepted, {.edge = {.i = 1, .j = 3, .score = 0.3, .verdict = loop::LoopVerdict::no_motion}}};
+  workspace.set_refined(refined);
+  const PoseGraph path = workspace.pose_graph(Poses::refined);
+  ASSERT_EQ(path.nodes.size(), 4u);
+  EXPECT_TRUE(path.nodes[3].world_from_cam.affine() == refined.nodes[3].world_from_cam.affine());
+  EXPECT_TRUE(path.nodes[3].covariance == refined.nodes[3].covariance);
+  EXPECT_EQ(path.nodes[2].submap, 0);
+  ASSERT_EQ(path.edges.size(), 4u);
+  EXPECT_EQ(path.edges[3].kind, PoseEdgeKind::loop);
+  EXPECT_EQ(path.edges[3].i, 0);
+  EXPECT_EQ(path.edges[3].j, 2);
+  EXPECT_TRUE(path.edges[3].i_from_j.affine() == world.affine());
+  EXPECT_LT((path.edges[3].information - 4 * Matrix6d::Identity()).norm(), 1e-12);
+  const std::vector<LoopRecord> loops = workspace.loops();
+  ASSERT_EQ(loops.size(), 2u);
+  EXPECT_EQ(loops[0].edge.used, 50);
+  EXPECT_EQ(loops[0].error, 1.5);
+  EXPECT_EQ(loops[1].edge.verdict, loop::LoopVerdict::no_motion);
+  EXPECT_EQ(loops[1].edge.score, 0.3);
+
+  const auto all = workspace.views(Poses::refined, -1, 1);
+  const auto second = workspace.views(Poses::odometry, 1, 1);
+  const auto first = workspace.views(Poses::refined, 0, 1);
+  ASSERT_EQ(first->summaries().size(), 3u);
+  EXPECT_TRUE(first->load(2)->world_from_cam.affine() == refined.nodes[2].world_from_cam.affine());
   EXPECT_EQ(all->summaries().size(), 4u);
   ASSERT_EQ(second->summaries().size(), 2u);
   const auto view = second->load(1);
   EXPECT_EQ(view->frame_idx, 3);
   EXPECT_EQ(view->camera.f, 100.25);
   EXPECT_EQ(cv::norm(view->image, test_view(3, false).image, cv::NORM_INF), 0);
-  EXPECT_TRUE(view->world_from_cam.isApprox(world * posed(3, 1).submap_from_cam, 1e-15));
+  EXPECT_TRUE(view->world_from_cam.affine() == posed(3, 1).submap_from_cam.affine());
   EXPECT_NEAR(second->summaries()[1].max_disparity, 90, 0.5);
 }
 
@@ -162,7 +198,7 @@ TEST(Workspace, TheCacheHoldsTheMostRecentViewsOnly) {
     workspace.add_frame(posed(i, 0), &view);
   }
   const size_t one_view = 32 * 20 * 6;
-  const auto store = workspace.views(Pose::Identity(), 0, 2 * one_view);
+  const auto store = workspace.views(Poses::odometry, 0, 2 * one_view);
   const std::weak_ptr<const StereoView> first = store->load(0);
   EXPECT_FALSE(first.expired());
   store->load(1);

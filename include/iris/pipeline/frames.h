@@ -25,9 +25,6 @@ struct FramesSummary {
 
   bool complete() const { return unreadable == 0 && submaps <= 1; }
 };
-FramesSummary summarise_frames(const workspace::Workspace& workspace);
-
-// The z-up world of a sub-map: origin in its first camera, x its viewing direction, y left, z up.
-Pose world_from_submap();
+FramesSummary summarise_frames(const workspace::Workspace& workspace, workspace::Poses poses);
 
 }  // namespace iris::pipeline

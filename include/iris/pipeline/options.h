@@ -4,6 +4,8 @@
 #include <filesystem>
 
 #include "iris/core/options.h"
+#include "iris/loop/options.h"
+#include "iris/loop/pose_graph.h"
 #include "iris/mapping/flog.h"
 #include "iris/motion/scs.h"
 #include "iris/render/dsnv.h"
@@ -19,6 +21,8 @@ struct Options {
   stereo::MwmfOptions stereo;
   motion::ScsOptions motion;
   views::ViewsOptions views;
+  loop::LoopOptions loop;
+  loop::PoseGraphOptions pose_graph;
   mapping::FlogOptions mapping;
   render::DsnvOptions render{.step = 2};  // the pictures of a tour pass by: half the time for 0.6 dB less
   tour::TourOptions tour;
@@ -30,6 +34,8 @@ struct Options {
     stereo.declare(set);
     motion.declare(set);
     views.declare(set);
+    loop.declare(set);
+    pose_graph.declare(set);
     mapping.declare(set);
     render.declare(set);
     tour.declare(set);

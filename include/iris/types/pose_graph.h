@@ -12,6 +12,9 @@ struct PoseNode {
   int64_t stamp_ns = 0;
   Pose world_from_cam = Pose::Identity();  // left rectified camera
   int submap = 0;                          // poses of different sub-maps have no known relation
+  // Against the first camera of the sub-map: translation [m], then rotation [rad], as a left perturbation in the world:
+  // t' = t + dt, R' = exp(dw) R. Zero before the loop stage, and of the first camera.
+  Matrix6d covariance = Matrix6d::Zero();
 };
 
 enum class PoseEdgeKind { odometry, loop, guessed };  // guessed: not measured, its information is next to nothing

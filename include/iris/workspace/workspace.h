@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "iris/loop/verification.h"
 #include "iris/types/motion_estimate.h"
 #include "iris/types/pose_graph.h"
 #include "iris/types/stereo_view.h"
@@ -31,6 +32,21 @@ struct FrameRecord {
   int reference_frame = -1;                 // the earlier frame that `motion` is measured against; -1: begins a sub-map
   MotionEstimate motion;                    // status is ok only with a reference frame
 };
+
+// A pair of views that the loop stage looked at.
+struct LoopRecord {
+  loop::LoopEdge edge;
+  double error = 0;  // [standard deviations] what is left of the edge after refinement; 0 if it was not accepted
+};
+
+// The path after loop closure and refinement.
+struct RefinedPath {
+  std::vector<PoseNode> nodes;  // of all frames with a pose, in their order; worlds are z up
+  std::vector<LoopRecord> loops;
+};
+
+// Which poses: those that motions chained give, in the frame of each sub-map's first camera, or those of the loop stage.
+enum class Poses { odometry, refined };
 
 // Record of a finished stage.
 struct StageRecord {
@@ -79,11 +95,15 @@ class Workspace {
   int view_count() const;
   int submap_count() const;
 
-  // Poses of all readable frames and their odometry edges. world_from_submap takes each sub-map to its z-up world.
-  PoseGraph pose_graph(const Pose& world_from_submap) const;
+  // The loop stage's result; takes the place of an earlier one.
+  void set_refined(const RefinedPath& path);
+  std::vector<LoopRecord> loops() const;
+
+  // Poses of all readable frames with their odometry edges and, of the refined path, its accepted loops.
+  PoseGraph pose_graph(Poses poses) const;
 
   // The stored views of one sub-map (or of all: submap < 0), read on demand through a cache of at most `cache_bytes`.
-  std::unique_ptr<views::ViewStore> views(const Pose& world_from_submap, int submap, size_t cache_bytes) const;
+  std::unique_ptr<views::ViewStore> views(Poses poses, int submap, size_t cache_bytes) const;
 
  private:
   struct Impl;

@@ -13,52 +13,62 @@
 namespace iris::loop {
 namespace {
 
-constexpr int kPoints = 40;  // of a sketch
+constexpr int kPoints = 30;  // of a sketch
 
 // Probability that a normal variable lies below 0.
 double below_zero(double mean, double sigma) { return 0.5 * std::erfc(mean / (sigma * std::sqrt(2.0))); }
 
-// Part of the points of b that a is expected to see; or, at best, what it can see if the error of the pose is as lucky
-// as three standard deviations allow.
-double seen_part(const ViewSketch& a, const ViewSketch& b, const Pose& a_from_b, const Matrix6d& covariance,
-                 const RectifiedCamera& camera, bool at_best) {
+// How probably view a sees a point of view b, weighted with how alike it looks from there; or, at best, whether it can
+// see it if the error of the pose is as lucky as three standard deviations allow.
+double seen(const ViewSketch& a, const Eigen::Vector3d& in_b, const Pose& a_from_b, const Matrix6d& covariance,
+            const RectifiedCamera& camera, bool at_best) {
   constexpr double kNear = 0.1;                         // [m]
   constexpr double kLeastScale = 0.4;                   // corners are not recognised at other sizes
   constexpr double kFullView = 0.87, kLeastView = 0.5;  // cosines of the angle between the two sights: 30, 60 deg
   constexpr double kHidden = 1.25;                      // times as far as what is seen
-  const Eigen::Vector3d b_in_a = a_from_b.translation();
-  double sum = 0;
-  for (const Eigen::Vector3f& point : b.points_in_cam) {
-    const Eigen::Vector3d in_b = point.cast<double>();
-    const Eigen::Vector3d p = a_from_b * in_b;
-    Eigen::Matrix<double, 3, 6> jacobian;
-    jacobian << Eigen::Matrix3d::Identity(), -motion::cross_matrix(p);
-    const Eigen::Matrix3d spread = jacobian * covariance * jacobian.transpose();
-    const double z = p.z(), sigma_z = std::sqrt(spread(2, 2));
-    if (z < kNear) continue;
-    const double scale = in_b.norm() / p.norm();
-    if (scale * (1 + sigma_z / z) < kLeastScale || scale / (1 + sigma_z / z) > 1 / kLeastScale) continue;
-    double sight = p.dot(p - b_in_a) / (p.norm() * (p - b_in_a).norm());
-    if (at_best) sight += 3 * std::sqrt(spread.trace()) / p.norm();
-    if (sight < kLeastView) continue;
-    const double x = camera.f * p.x() / z + camera.cx, y = camera.f * p.y() / z + camera.cy;
-    const Eigen::RowVector3d to_x(camera.f / z, 0, -camera.f * p.x() / (z * z));
-    const Eigen::RowVector3d to_y(0, camera.f / z, -camera.f * p.y() / (z * z));
-    const double sigma_x = std::sqrt((to_x * spread * to_x.transpose()).value() + 1);
-    const double sigma_y = std::sqrt((to_y * spread * to_y.transpose()).value() + 1);
-    const auto inside = [&](double at, double size, double sigma) {
-      if (at_best) return at > -3 * sigma && at < size + 3 * sigma ? 1.0 : 0.0;
-      return below_zero(at - size, sigma) - below_zero(at, sigma);
-    };
-    const double probability = inside(x, camera.width, sigma_x) * inside(y, camera.height, sigma_y);
-    const int column =
-        std::clamp(static_cast<int>(x * ViewSketch::kColumns / camera.width), 0, ViewSketch::kColumns - 1);
-    const int row = std::clamp(static_cast<int>(y * ViewSketch::kRows / camera.height), 0, ViewSketch::kRows - 1);
-    const double farthest = a.depth[static_cast<size_t>(row * ViewSketch::kColumns + column)];
-    if (farthest > 0 && z - 3 * sigma_z > kHidden * farthest) continue;
-    sum += probability * std::min(1.0, (sight - kLeastView) / (kFullView - kLeastView));
-  }
-  return sum / static_cast<double>(b.points_in_cam.size());
+  const Eigen::Vector3d p = a_from_b * in_b;
+  const double z = p.z();
+  if (z < kNear) return 0;
+  Eigen::Matrix<double, 3, 6> jacobian;
+  jacobian << Eigen::Matrix3d::Identity(), -motion::cross_matrix(p);
+  const Eigen::Matrix3d spread = jacobian * covariance * jacobian.transpose();
+  const double sigma_z = std::sqrt(spread(2, 2));
+  const double scale = in_b.norm() / p.norm(), error = 1 + sigma_z / z;
+  if (scale * error < kLeastScale || scale / error > 1 / kLeastScale) return 0;
+  const Eigen::Vector3d from_b = p - a_from_b.translation();
+  double sight = p.dot(from_b) / (p.norm() * from_b.norm());
+  if (at_best) sight += 3 * std::sqrt(spread.trace()) / p.norm();
+  if (sight < kLeastView) return 0;
+  // How probably it falls into an image's rows, or columns.
+  const auto inside = [&](double at, const Eigen::RowVector3d& by_point, int size) {
+    const double sigma = std::sqrt((by_point * spread * by_point.transpose()).value() + 1);
+    if (at_best) return at > -3 * sigma && at < size + 3 * sigma ? 1.0 : 0.0;
+    return below_zero(at - size, sigma) - below_zero(at, sigma);
+  };
+  const double x = camera.f * p.x() / z + camera.cx, y = camera.f * p.y() / z + camera.cy;
+  const double s = camera.f / z;
+  const double probability =
+      inside(x, {s, 0, -s * p.x() / z}, camera.width) * inside(y, {0, s, -s * p.y() / z}, camera.height);
+  const int column = static_cast<int>(std::clamp(x / camera.width, 0.0, 0.999) * ViewSketch::kColumns);
+  const int row = static_cast<int>(std::clamp(y / camera.height, 0.0, 0.999) * ViewSketch::kRows);
+  const double farthest = a.depth[static_cast<size_t>(row * ViewSketch::kColumns + column)];
+  if (farthest > 0 && z - 3 * sigma_z > kHidden * farthest) return 0;
+  return probability * std::min(1.0, (sight - kLeastView) / (kFullView - kLeastView));
+}
+
+// Mean of seen() over the points of b.
+double seen_part(const ViewSketch& a, const ViewSketch& b, const Pose& a_from_b, const Matrix6d& covariance,
+                 const RectifiedCamera& camera, bool at_best) {
+  const auto& points = b.points_in_cam;
+  const auto sum_of = [&](size_t stride) {
+    double sum = 0;
+    for (size_t k = 0; k < points.size(); k += stride) {
+      sum += seen(a, points[k].cast<double>(), a_from_b, covariance, camera, at_best);
+    }
+    return sum;
+  };
+  // Most pairs see nothing of each other, as a few of the points tell.
+  return sum_of(5) == 0 ? 0 : sum_of(1) / static_cast<double>(points.size());
 }
 
 // The best few of one view's partners, none within `gap` views of a better one.
@@ -186,7 +196,7 @@ double expected_overlap(const ViewSketch& i, const ViewSketch& j, const Relative
 
 std::vector<Candidate> overlap_candidates(const std::vector<ViewSketch>& views, const Odometry& odometry,
                                           const RectifiedCamera& camera, const LoopOptions& options) {
-  constexpr size_t kMost = 400;  // places near a view that are looked at
+  constexpr size_t kMost = 120;  // places near a view that are looked at
   const int n = static_cast<int>(views.size());
   if (options.overlap_candidates == 0) return {};
   std::vector<Eigen::Vector3d> centres(views.size(), Eigen::Vector3d::Zero());

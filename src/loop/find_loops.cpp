@@ -119,7 +119,7 @@ std::vector<LoopEdge> find_loops(const PoseGraph& graph, const std::vector<int>&
                                  const RectifiedCamera& camera, const LoopOptions& options,
                                  const motion::ScsOptions& scs, const FindLoopsControl& control) {
   constexpr int kBlock = 32;                // views or candidates between two questions whether to stop
-  constexpr int kAllDescriptors = 3000000;  // of all views
+  constexpr int kAllDescriptors = 4000000;  // of all views
   const int views = static_cast<int>(view_frames.size());
   if (!options.enabled || views < 2) return {};
   const Odometry odometry(graph, options);

@@ -19,7 +19,7 @@ struct FindLoopsControl {
 // graph: poses and odometry. view_frames: frame_idx of the stored views, ascending, each a node of the graph. view: the
 // stored view of a frame; called from several threads at once, and more than once for each view unless all fit into
 // options.cache_mb. The result is the same for any number of threads.
-// Memory: the cache, and about 10 kB a view (96 MB for descriptors at most).
+// Memory: the cache, and about 10 kB a view (128 MB for descriptors at most).
 std::vector<LoopEdge> find_loops(const PoseGraph& graph, const std::vector<int>& view_frames,
                                  const std::function<StereoView(int frame_idx)>& view, const RectifiedCamera& camera,
                                  const LoopOptions& options, const motion::ScsOptions& scs,

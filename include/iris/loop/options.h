@@ -14,8 +14,8 @@ struct LoopOptions {
   int overlap_candidates = 6;     // most pairs a view that predicted overlap proposes; 0 = none
   double min_overlap = 0.3;       // part of a view that is expected to be seen in the other one
   int appearance_candidates = 4;  // most pairs a view that look alike, whatever the poses say; 0 = none
-  double min_similarity = 0.3;    // of appearance, as a part of how much the view resembles its neighbour in time
-  int descriptors = 300;          // features a view that stand for its appearance
+  double min_similarity = 0.2;    // of appearance, as a part of how much the view resembles its neighbour in time
+  int descriptors = 500;          // features a view that stand for its appearance
   // What odometry is trusted for.
   double inflation = 2;      // [times] by which the standard deviations of motions are larger than they say
   double drift = 0.005;      // [m/m] standard deviation of a systematic error in odometry's translation

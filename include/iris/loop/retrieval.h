@@ -20,7 +20,7 @@ cv::Mat1b describe(const cv::Mat1b& image, int count);
 class Vocabulary {
  public:
   static constexpr int kBranches = 10;    // children of a node
-  static constexpr int kDepth = 5;        // most levels, 10^5 words
+  static constexpr int kDepth = 4;        // most levels, 10^4 words
   static constexpr int kLeast = 20;       // descriptors of a node that is divided further
   static constexpr int kSample = 200000;  // descriptors that take part, evenly taken from all
 

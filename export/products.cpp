@@ -38,6 +38,14 @@ std::unique_ptr<views::ViewStore> main_views(const Workspace& workspace, size_t 
                          cache_bytes);
 }
 
+workspace::WorldRecord main_world(const Workspace& workspace) {
+  const int submap = pipeline::summarise_frames(workspace, Poses::refined).largest_submap;
+  for (const workspace::WorldRecord& world : workspace.worlds()) {
+    if (world.submap == submap) return world;
+  }
+  throw Bug("the largest sub-map has no world");
+}
+
 Files files_in(const fs::path& out, const char* folder) {
   Files files;
   for (const auto& entry : fs::recursive_directory_iterator(out / folder)) {
@@ -95,7 +103,10 @@ SheetFacts facts_of(const Workspace& workspace, const mapping::MapRaster& raster
 }
 
 Files write_maps(const Workspace& workspace, const RunOptions& options, const RunControl& control) {
-  const mapping::FlogOptions& mapping = options.library.mapping;
+  // Where no floor was found, it is taken to lie so far below the first camera.
+  constexpr double kUsualCameraHeight = 1;
+  mapping::FlogOptions mapping = options.library.mapping;
+  if (!main_world(workspace).floor_found) mapping.bottom -= kUsualCameraHeight;
   const auto views = main_views(workspace, kStreamCache);
   const int count = static_cast<int>(views->summaries().size());
   IRIS_CHECK(count > 0);

@@ -142,8 +142,7 @@ void write_session(const fs::path& folder, const simulate::Scene& scene, const s
 
   if (control.stopped()) throw Interrupted();
   std::vector<double> bounds;
-  const double bottom = simulator.world_from_left(0).translation().z() + mapping.bottom;
-  for (int k = 0; k <= mapping.layers; ++k) bounds.push_back(bottom + mapping.height * k / mapping.layers);
+  for (int k = 0; k <= mapping.layers; ++k) bounds.push_back(mapping.bottom + mapping.height * k / mapping.layers);
   write_plan(truth, simulate::floor_plan(scene, simulator, mapping.cell, bounds, mapping.max_range));
 
   const StereoCalibration& rig = simulator.calibration();

@@ -45,7 +45,7 @@ Arguments::Arguments(CLI::App& command, const std::vector<std::string>& sections
     if (std::find(sections.begin(), sections.end(), section) == sections.end()) continue;
     command
         .add_option_function<std::string>(
-            "--" + option.name,
+            "--" + option.name + (option.name == "loop.up" ? ",--up" : ""),
             [this, name = option.name](const std::string& text) { given_.emplace_back(name, text); }, option.help)
         ->type_name(value_type(option))
         ->default_str(option.default_text)

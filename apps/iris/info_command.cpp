@@ -98,6 +98,9 @@ void print_output(const workspace::Workspace& workspace) {
              summary.unreadable, summary.submaps);
   fmt::print("path         {:.3f} m\n", summary.path_length);
   fmt::print("views        {}\n", summary.views);
+  for (const workspace::WorldRecord& world : workspace.worlds()) {
+    fmt::print("up           sub-map {}: {}\n", world.submap, world.alignment);
+  }
   for (const char* name : {"frames", "loop", "trajectory", "map", "octree", "scene", "tour"}) {
     const auto record = workspace.stage(name);
     fmt::print("stage        {:<10} {}\n", name, record ? "done" : "not finished");

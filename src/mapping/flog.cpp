@@ -36,11 +36,12 @@ void FlogOptions::declare(OptionSet& set) {
   set.section("mapping");
   set.add("cell", cell, "m", 0.001, 10, "side of a map cell; smaller cells need more memory and nearer views");
   set.add("layers", layers, "", 1, 64, "layers of cells, told apart by height; a cell should be seen whole from 1 m");
-  set.add(
-      "bottom", bottom, "m", -1000, 1000,
-      "lower bound of the lowest layer relative to the world's z = 0; choose it above the floor, or the floor becomes "
-      "an obstacle");
-  set.add("height", height, "m", 0.001, 1000, "height of all layers together");
+  set.add("bottom", bottom, "m", -1000, 1000,
+          "lower bound of the lowest layer above the floor (where no floor was found, it is taken to lie 1 m below the "
+          "first "
+          "camera); at 0 the floor becomes an obstacle");
+  set.add("height", height, "m", 0.001, 1000,
+          "height of all layers together; lintels of doors that are reached close them");
   set.add("min_disparity", min_disparity, "px", 0.1, 1000,
           "rays of smaller disparities are followed only to the distance of this one, their error is too large beyond");
   set.add("pixel_error", pixel_error, "px", 0.001, 10,

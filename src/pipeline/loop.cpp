@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <map>
+#include <memory>
 #include <optional>
 
 #include "iris/core/error.h"
@@ -24,14 +25,29 @@ PoseEdge edge_of(const loop::LoopEdge& loop) {
           .kind = PoseEdgeKind::loop};
 }
 
-std::vector<loop::LoopEdge> search(const PoseGraph& graph, const views::ViewStore& views, const Options& options,
-                                   const RunControl& control) {
-  std::vector<int> frames;
-  std::map<int, int> index_of_frame;
-  for (const views::ViewSummary& view : views.summaries()) {
-    index_of_frame[view.frame_idx] = static_cast<int>(frames.size());
-    frames.push_back(view.frame_idx);
+// The stored views by their frames.
+class StoredViews {
+ public:
+  explicit StoredViews(const workspace::Workspace& workspace) : store_(workspace.views(Poses::odometry, -1, 0)) {
+    for (const views::ViewSummary& view : store_->summaries()) {
+      index_of_frame_[view.frame_idx] = static_cast<int>(frames_.size());
+      frames_.push_back(view.frame_idx);
+    }
+    IRIS_CHECK(!frames_.empty());
   }
+  const std::vector<int>& frames() const { return frames_; }
+  bool contains(int frame_idx) const { return index_of_frame_.contains(frame_idx); }
+  const RectifiedCamera& camera() const { return store_->summaries().front().camera; }
+  StereoView load(int frame_idx) const { return *store_->load(index_of_frame_.at(frame_idx)); }
+
+ private:
+  std::unique_ptr<views::ViewStore> store_;
+  std::vector<int> frames_;
+  std::map<int, int> index_of_frame_;
+};
+
+std::vector<loop::LoopEdge> search(const PoseGraph& graph, const StoredViews& views, const Options& options,
+                                   const RunControl& control) {
   std::optional<Progress> progress;
   int total = -1;
   const loop::FindLoopsControl find_control{
@@ -43,17 +59,41 @@ std::vector<loop::LoopEdge> search(const PoseGraph& graph, const views::ViewStor
           },
       .stopped = [&] { return control.stopped(); }};
   return find_loops(
-      graph, frames, [&](int frame_idx) { return *views.load(index_of_frame.at(frame_idx)); },
-      views.summaries().front().camera, options.loop, options.motion, find_control);
+      graph, views.frames(), [&](int frame_idx) { return views.load(frame_idx); }, views.camera(), options.loop,
+      options.motion, find_control);
+}
+
+// Gives each sub-map its z-up world.
+void stand_upright(workspace::RefinedPath& path, const StoredViews& views, const loop::AlignmentOptions& options) {
+  std::map<int, std::vector<PoseNode>> nodes_of_submap;
+  for (const PoseNode& node : path.nodes) nodes_of_submap[node.submap].push_back(node);
+  std::map<int, std::vector<int>> views_of_submap;
+  for (const PoseNode& node : path.nodes) {
+    if (views.contains(node.frame_idx)) views_of_submap[node.submap].push_back(node.frame_idx);
+  }
+  std::map<int, Pose> world_of_submap;
+  for (const auto& [submap, nodes] : nodes_of_submap) {
+    const loop::Alignment alignment = align(
+        nodes, views_of_submap[submap], [&](int frame_idx) { return views.load(frame_idx); }, options);
+    world_of_submap[submap] = alignment.world_from_graph;
+    path.worlds.push_back({.submap = submap, .floor_found = alignment.floor_found, .alignment = alignment.used});
+    if (submap == 0) spdlog::info("up: {}", alignment.used);
+  }
+  for (PoseNode& node : path.nodes) {
+    const Pose& world = world_of_submap.at(node.submap);
+    Matrix6d turn = Matrix6d::Zero();
+    turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = world.linear();
+    node.world_from_cam = world * node.world_from_cam;
+    node.covariance = turn * node.covariance * turn.transpose();
+  }
 }
 
 std::vector<std::string> run_loop(const Options& options, workspace::Workspace& workspace, const RunControl& control) {
-  const auto views = workspace.views(Poses::odometry, -1, 0);
-  IRIS_CHECK(!views->summaries().empty());
+  const StoredViews views(workspace);
   PoseGraph graph = workspace.pose_graph(Poses::odometry);
   workspace::RefinedPath path;
   if (options.loop.enabled) {
-    for (loop::LoopEdge& edge : search(graph, *views, options, control)) path.loops.push_back({std::move(edge)});
+    for (loop::LoopEdge& edge : search(graph, views, options, control)) path.loops.push_back({std::move(edge)});
   }
   std::vector<size_t> record_of_edge;  // behind the odometry
   const size_t odometry_edges = graph.edges.size();
@@ -78,14 +118,9 @@ std::vector<std::string> run_loop(const Options& options, workspace::Workspace& 
     spdlog::info("loops: {} of {} pairs of views that may show the same place are accepted", accepted,
                  path.loops.size());
   }
-  const Pose world_from_graph = z_up_from_camera();
-  Matrix6d turn = Matrix6d::Zero();
-  turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = world_from_graph.linear();
   path.nodes = std::move(refined.graph.nodes);
-  for (size_t i = 0; i < path.nodes.size(); ++i) {
-    path.nodes[i].world_from_cam = world_from_graph * path.nodes[i].world_from_cam;
-    path.nodes[i].covariance = turn * refined.covariance[i] * turn.transpose();
-  }
+  for (size_t i = 0; i < path.nodes.size(); ++i) path.nodes[i].covariance = refined.covariance[i];
+  stand_upright(path, views, options.alignment);
   workspace.set_refined(path);
   return {};
 }

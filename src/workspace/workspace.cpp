@@ -39,6 +39,7 @@ CREATE TABLE IF NOT EXISTS view   (frame_idx INTEGER PRIMARY KEY, f REAL NOT NUL
                                    max_disparity REAL NOT NULL, disparity_scale INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS refined(frame_idx INTEGER PRIMARY KEY, submap INTEGER NOT NULL, world_from_cam BLOB NOT NULL,
                                    covariance BLOB NOT NULL);
+CREATE TABLE IF NOT EXISTS world  (submap INTEGER PRIMARY KEY, floor_found INTEGER NOT NULL, alignment TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS loop   (i INTEGER NOT NULL, j INTEGER NOT NULL, i_from_j BLOB NOT NULL, covariance BLOB NOT NULL,
                                    used INTEGER NOT NULL, consistent INTEGER NOT NULL, motion INTEGER NOT NULL,
                                    rms_px REAL NOT NULL, score REAL NOT NULL, source INTEGER NOT NULL,
@@ -323,7 +324,7 @@ void Workspace::clear_frames() {
     Transaction transaction(impl_->database);
     impl_->database.run(
         "DELETE FROM frame; DELETE FROM pose; DELETE FROM motion; DELETE FROM view; DELETE FROM value; "
-        "DELETE FROM refined; DELETE FROM loop");
+        "DELETE FROM refined; DELETE FROM world; DELETE FROM loop");
     transaction.commit();
   }
   std::error_code ignored;
@@ -411,10 +412,15 @@ std::optional<int> Workspace::last_view_frame() const {
 void Workspace::set_refined(const RefinedPath& path) {
   const Database& db = impl_->database;
   Transaction transaction(db);
-  db.run("DELETE FROM refined; DELETE FROM loop");
+  db.run("DELETE FROM refined; DELETE FROM world; DELETE FROM loop");
   for (const PoseNode& node : path.nodes) {
     Statement(db, "INSERT INTO refined VALUES (?1, ?2, ?3, ?4)")
         .bind(node.frame_idx, node.submap, matrix_of(node.world_from_cam), node.covariance)
+        .step();
+  }
+  for (const WorldRecord& world : path.worlds) {
+    Statement(db, "INSERT INTO world VALUES (?1, ?2, ?3)")
+        .bind(world.submap, world.floor_found, world.alignment)
         .step();
   }
   for (const LoopRecord& loop : path.loops) {
@@ -454,6 +460,17 @@ std::vector<LoopRecord> Workspace::loops() const {
     loops.push_back(loop);
   }
   return loops;
+}
+
+std::vector<WorldRecord> Workspace::worlds() const {
+  Statement select(impl_->database, "SELECT submap, floor_found, alignment FROM world ORDER BY submap");
+  std::vector<WorldRecord> worlds;
+  while (select.step()) {
+    worlds.push_back({.submap = static_cast<int>(select.integer(0)),
+                      .floor_found = select.integer(1) != 0,
+                      .alignment = select.text(2)});
+  }
+  return worlds;
 }
 
 PoseGraph Workspace::pose_graph(Poses poses) const {

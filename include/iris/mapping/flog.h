@@ -12,11 +12,10 @@
 namespace iris::mapping {
 
 struct FlogOptions {
-  double cell = 0.05;     // [m] side of a cell (6.4.2)
-  int layers = 3;         // layers of cells, told apart by height (6.3.2)
-  double bottom = -1.05;  // [m] lowest bound, relative to the world's z = 0. The default centres the layers on z = 0,
-                          // the height of the first camera where nothing else is known
-  double height = 2.1;    // [m] of all layers together (6.4.2)
+  double cell = 0.05;        // [m] side of a cell (6.4.2)
+  int layers = 3;            // layers of cells, told apart by height (6.3.2)
+  double bottom = 0.1;       // [m] lowest bound, relative to the world's z = 0: above the floor, below most obstacles
+  double height = 1.8;       // [m] of all layers together (6.4.2: 2.1); the default ends below the lintels of doors
   double min_disparity = 4;  // [px] rays of smaller disparities are followed to the distance of this one only (6.3.3)
   double pixel_error = 0.1;  // [px] error of image coordinates, dp of (4.24)
   double min_spread = 1;     // [cells] lower bound of e of (6.1), which knows nothing of the size of cells; 0 = the

@@ -4,6 +4,7 @@
 #include <filesystem>
 
 #include "iris/core/options.h"
+#include "iris/loop/alignment.h"
 #include "iris/loop/options.h"
 #include "iris/loop/pose_graph.h"
 #include "iris/mapping/flog.h"
@@ -23,6 +24,7 @@ struct Options {
   views::ViewsOptions views;
   loop::LoopOptions loop;
   loop::PoseGraphOptions pose_graph;
+  loop::AlignmentOptions alignment;
   mapping::FlogOptions mapping;
   render::DsnvOptions render{.step = 2};  // the pictures of a tour pass by: half the time for 0.6 dB less
   tour::TourOptions tour;
@@ -36,6 +38,7 @@ struct Options {
     views.declare(set);
     loop.declare(set);
     pose_graph.declare(set);
+    alignment.declare(set);
     mapping.declare(set);
     render.declare(set);
     tour.declare(set);

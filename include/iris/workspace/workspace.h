@@ -39,13 +39,22 @@ struct LoopRecord {
   double error = 0;  // [standard deviations] what is left of the edge after refinement; 0 if it was not accepted
 };
 
+// How a sub-map of the refined path came to stand upright.
+struct WorldRecord {
+  int submap = 0;
+  bool floor_found = false;  // z = 0 is the floor; else the height of the first camera
+  std::string alignment;     // how up was found, for people
+};
+
 // The path after loop closure and refinement.
 struct RefinedPath {
-  std::vector<PoseNode> nodes;  // of all frames with a pose, in their order; worlds are z up
+  std::vector<PoseNode> nodes;      // of all frames with a pose, in their order; worlds are z up
+  std::vector<WorldRecord> worlds;  // one a sub-map
   std::vector<LoopRecord> loops;
 };
 
-// Which poses: those that motions chained give, in the frame of each sub-map's first camera, or those of the loop stage.
+// Which poses: those that motions chained give, in the frame of each sub-map's first camera, or those of the loop
+// stage.
 enum class Poses { odometry, refined };
 
 // Record of a finished stage.
@@ -98,6 +107,7 @@ class Workspace {
   // The loop stage's result; takes the place of an earlier one.
   void set_refined(const RefinedPath& path);
   std::vector<LoopRecord> loops() const;
+  std::vector<WorldRecord> worlds() const;
 
   // Poses of all readable frames with their odometry edges and, of the refined path, its accepted loops.
   PoseGraph pose_graph(Poses poses) const;

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "corner_kernels.h"
+#include "iris/motion/corner_disparity.h"
 #include "iris/motion/track.h"
 
 namespace iris::motion {
@@ -45,8 +46,11 @@ std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>
     if (!track.found) continue;
     const double disparity = usable_disparity(cur.disparity, track.position.x(), track.position.y(), camera, options);
     if (disparity == 0) continue;
-    result.push_back({i, j, from.point_in_cam, camera.point(track.position.x(), track.position.y(), disparity),
-                      (track.position - at).norm()});
+    result.push_back({.prev_corner = i,
+                      .cur_corner = j,
+                      .prev_point = from.point_in_cam,
+                      .cur_point = camera.point(track.position.x(), track.position.y(), disparity),
+                      .moved = (track.position - at).norm()});
   }
   return result;
 }
@@ -62,18 +66,30 @@ std::vector<Correspondence> predicted_matches(const ViewFeatures& prev, const Vi
     if (!(q.z() > 0)) continue;
     const Eigen::Vector3d expected = camera.project(q);
     const Eigen::Vector2d predicted = expected.head<2>();
-    // The surroundings as a piece of a plane that faces the camera.
-    Eigen::Matrix<double, 2, 3> projection;
-    projection << 1, 0, -q.x() / q.z(), 0, 1, -q.y() / q.z();
-    const Eigen::Matrix2d warp = projection * cur_from_prev.linear().leftCols<2>() * (corner.point_in_cam.z() / q.z());
-    const PatchTrack track = track_patch(prev.image, {corner.x, corner.y}, cur.image, predicted, warp);
+    const Eigen::Matrix3d warp = plane_warp(camera, corner, cur_from_prev);
+    const TrackedSurface surface = corner_surface(prev.disparity, corner);
+    const PatchTrack track = track_patch(prev.image, {corner.x, corner.y}, cur.image, predicted, warp, surface);
     if (!track.found || track.similarity < options.min_similarity) continue;
     const double moved = (track.position - predicted).norm();
     if (moved > options.max_refinement) continue;
-    const double disparity = usable_disparity(cur.disparity, track.position.x(), track.position.y(), camera, options);
+    double disparity = usable_disparity(cur.disparity, track.position.x(), track.position.y(), camera, options);
     if (disparity == 0 || std::abs(disparity - expected.z()) > options.max_refinement) continue;
-    result.push_back(
-        {i, -1, corner.point_in_cam, camera.point(track.position.x(), track.position.y(), disparity), moved});
+    Correspondence found{.prev_corner = i, .cur_corner = -1, .prev_point = corner.point_in_cam, .moved = moved};
+    if (corner.disparity_error > 0 && !cur.right.empty()) {
+      // The same surroundings once more in the right image.
+      Pose right_from_prev = cur_from_prev;
+      right_from_prev.translation().x() -= camera.baseline;
+      const Eigen::Vector2d start(track.position.x() - disparity, track.position.y());
+      const PatchTrack right = track_along_row(prev.image, {corner.x, corner.y}, cur.right, start,
+                                               plane_warp(camera, corner, right_from_prev), surface);
+      if (right.found && std::abs(right.position.x() - start.x()) <= kMaxCorrection) {
+        disparity = track.position.x() - right.position.x();
+        found.left_covariance = position_covariance(track);
+        found.right_variance = (position_covariance(right)(0, 0) + corner.disparity_error * corner.disparity_error) / 2;
+      }
+    }
+    found.cur_point = camera.point(track.position.x(), track.position.y(), disparity);
+    result.push_back(found);
   }
   return result;
 }

@@ -9,6 +9,7 @@
 #include "corner_kernels.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "iris/motion/corner_disparity.h"
 
 namespace iris::motion {
 namespace {
@@ -75,9 +76,10 @@ double usable_disparity(const DisparityImage& disparity, double x, double y, con
 }
 
 ViewFeatures extract_features(const cv::Mat1b& left_image, const DisparityImage& disparity,
-                              const RectifiedCamera& camera, const ScsOptions& options) {
+                              const RectifiedCamera& camera, const ScsOptions& options, const cv::Mat1b& right_image) {
   IRIS_CHECK(left_image.size() == disparity.disparity.size() && left_image.size() == disparity.origin.size());
-  ViewFeatures features{.image = left_image, .disparity = disparity, .corners = {}, .patches = {}};
+  ViewFeatures features{
+      .image = left_image, .right = right_image, .disparity = disparity, .corners = {}, .patches = {}};
   const int width = left_image.cols, height = left_image.rows;
   const cv::Mat1f response = harris_response(left_image);
   const int columns = options.grid_columns;
@@ -119,6 +121,7 @@ ViewFeatures extract_features(const cv::Mat1b& left_image, const DisparityImage&
       features.corners.push_back(corner);
     }
   }
+  measure_disparities(features, camera);
 
   constexpr int kPatchesPerChunk = 64;
   const bool rank = options.compare == "rank";

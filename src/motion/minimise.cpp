@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 
+#include "iris/motion/track.h"
 #include "iris/reconstruct/error_models.h"
 #include "iris/reconstruct/error_propagation.h"
 
@@ -13,20 +14,22 @@ namespace iris::motion {
 namespace {
 
 // Adds one pair: its squared error, and gradient and Hessian of half of it.
-void add(MotionCost& cost, double square, const Vector6d& gradient, const Matrix6d& hessian, double huber) {
+// Returns rho'.
+double add(MotionCost& cost, double square, const Vector6d& gradient, const Matrix6d& hessian, double huber) {
   const double error = std::sqrt(square);
-  const double weight = huber > 0 && error > huber ? huber / error : 1;  // rho'
+  const double weight = huber > 0 && error > huber ? huber / error : 1;
   cost.value += weight < 1 ? 2 * huber * error - huber * huber : square;
   cost.gradient += weight * gradient;
   cost.hessian += weight * hessian;
-  cost.squares += weight * square;
+  return weight;
 }
 
 void add_ellipsoid(MotionCost& cost, const PointPair& pair, const Eigen::Matrix3d& prev_covariance,
-                   const Eigen::Matrix3d& cur_covariance, double huber, const Pose& prev_from_cur) {
+                   const Eigen::Matrix3d& cur_covariance, double huber, const Pose& prev_from_cur,
+                   std::vector<Vector6d>* contributions = nullptr) {
   const Eigen::Matrix3d& r = prev_from_cur.linear();
-  const Eigen::Vector3d turned = r * pair.second;
-  const Eigen::Vector3d e = pair.first - turned - prev_from_cur.translation();
+  const Eigen::Vector3d turned = r * pair.cur;
+  const Eigen::Vector3d e = pair.prev - turned - prev_from_cur.translation();
   const Eigen::Matrix3d turned_covariance = r * cur_covariance * r.transpose();
   const Eigen::Matrix3d information = (prev_covariance + turned_covariance).inverse();
   const Eigen::Vector3d a = information * e;
@@ -34,33 +37,8 @@ void add_ellipsoid(MotionCost& cost, const PointPair& pair, const Eigen::Matrix3
   jacobian << -Eigen::Matrix3d::Identity(), cross_matrix(turned);
   Vector6d gradient = jacobian.transpose() * a;
   gradient.tail<3>() -= (turned_covariance * a).cross(a);  // the covariance of the current point turns as well
-  add(cost, e.dot(a), gradient, jacobian.transpose() * information * jacobian, huber);
-}
-
-void add_image(MotionCost& cost, const RectifiedCamera& camera, const PointPair& pair, double pixel_error, double huber,
-               const Pose& prev_from_cur) {
-  const reconstruct::ImageError error =
-      reconstruct::image_error(camera, pair.first, pair.second, prev_from_cur, pixel_error);
-  const Eigen::Vector3d turned = prev_from_cur.linear() * error.best;
-  const Eigen::Vector3d in_prev = turned + prev_from_cur.translation();
-  if (!std::isfinite(error.square)) {
-    cost.value = std::numeric_limits<double>::infinity();  // a point behind a camera: no step may lead here
-    return;
-  }
-  const Eigen::Matrix3d by_prev = reconstruct::image_jacobian(camera, in_prev) / pixel_error;
-  const Eigen::Matrix3d by_cur = reconstruct::image_jacobian(camera, error.best) / pixel_error;
-  Eigen::Matrix<double, 3, 6> in_prev_by_motion;
-  in_prev_by_motion << Eigen::Matrix3d::Identity(), -cross_matrix(turned);
-  const Eigen::Matrix<double, 3, 6> a = by_prev * in_prev_by_motion;  // residuals in prev by the motion
-  const Eigen::Matrix3d b = by_prev * prev_from_cur.linear();         // and by the point
-  const Eigen::Vector3d residual =
-      (reconstruct::image_coordinates(camera, in_prev) - reconstruct::image_coordinates(camera, pair.first)) /
-      pixel_error;
-  // At the best point the derivative by the point is 0, so that the gradient needs no elimination; the Hessian does.
-  const Eigen::Matrix3d point_hessian = b.transpose() * b + by_cur.transpose() * by_cur;
-  const Eigen::Matrix<double, 3, 6> coupling = b.transpose() * a;
-  add(cost, error.square, a.transpose() * residual,
-      a.transpose() * a - coupling.transpose() * point_hessian.inverse() * coupling, huber);
+  const double weight = add(cost, e.dot(a), gradient, jacobian.transpose() * information * jacobian, huber);
+  if (contributions) contributions->push_back(weight * gradient);
 }
 
 }  // namespace
@@ -79,33 +57,33 @@ Pose perturbed(const Pose& pose, const Vector6d& step) {
   return result;
 }
 
-MotionCost motion_cost(const RectifiedCamera& camera, const std::vector<PointPair>& pairs, ErrorModel model,
-                       double pixel_error, double huber, const Pose& prev_from_cur) {
-  MotionCost cost;
-  for (const PointPair& pair : pairs) {
-    if (model == ErrorModel::ellipsoid) {
-      add_ellipsoid(cost, pair, reconstruct::point_covariance(camera, pair.first, pixel_error),
-                    reconstruct::point_covariance(camera, pair.second, pixel_error), huber, prev_from_cur);
-    } else {
-      add_image(cost, camera, pair, pixel_error, huber, prev_from_cur);
-    }
-  }
-  return cost;
-}
-
 namespace {
 
 // Covariance and variance factor of a finished minimisation.
-MinimisedMotion finished(MinimisedMotion result, const Matrix6d& hessian, double squares, size_t pairs) {
+MinimisedMotion finished(MinimisedMotion result, const RectifiedCamera& camera, const std::vector<PointPair>& pairs,
+                         const Matrix6d& hessian, const std::vector<Vector6d>& contributions) {
   result.prev_from_cur.linear() = nearest_rotation(result.prev_from_cur.linear());
   const Eigen::LLT<Matrix6d> solver(hessian);
   if (solver.info() != Eigen::Success) {
     result.converged = false;
     return result;
   }
+  std::vector<Eigen::Vector2d> places;
+  for (const PointPair& pair : pairs) places.emplace_back(camera.project(pair.prev).head<2>());
+  Matrix6d sum = Matrix6d::Zero();
+  for (size_t i = 0; i < pairs.size(); ++i) {
+    Vector6d neighbours = contributions[i] / 2;
+    for (size_t k = 0; k < i; ++k) {
+      if ((places[i] - places[k]).cwiseAbs().maxCoeff() < kTrackWindow) neighbours += contributions[k];
+    }
+    sum += contributions[i] * neighbours.transpose();
+  }
+  const double freedom = 3.0 * static_cast<double>(pairs.size()) - 6;
+  if (freedom > 0) {
+    const double mean = solver.solve(sum + sum.transpose()).trace() / 6;
+    result.variance_factor = mean * (freedom + 6) / freedom;
+  }
   // Few residuals may be small by chance: never more certain than pixel_error promises.
-  const double freedom = 3.0 * static_cast<double>(pairs) - 6;
-  if (freedom > 0) result.variance_factor = squares / freedom;
   result.covariance = std::max(1.0, result.variance_factor) * solver.solve(Matrix6d::Identity());
   return result;
 }
@@ -116,14 +94,14 @@ constexpr double kRest = 1e-10;
 MinimisedMotion minimise_ellipsoid(const RectifiedCamera& camera, const std::vector<PointPair>& pairs,
                                    double pixel_error, double huber, const Pose& guess) {
   std::vector<std::pair<Eigen::Matrix3d, Eigen::Matrix3d>> covariances;
-  for (const auto& [p, q] : pairs) {
-    covariances.emplace_back(reconstruct::point_covariance(camera, p, pixel_error),
-                             reconstruct::point_covariance(camera, q, pixel_error));
+  for (const PointPair& pair : pairs) {
+    covariances.emplace_back(reconstruct::point_covariance(camera, pair.prev, pixel_error),
+                             reconstruct::point_covariance(camera, pair.cur, pixel_error));
   }
-  const auto cost_at = [&](const Pose& motion) {
+  const auto cost_at = [&](const Pose& motion, std::vector<Vector6d>* contributions = nullptr) {
     MotionCost cost;
     for (size_t i = 0; i < pairs.size(); ++i) {
-      add_ellipsoid(cost, pairs[i], covariances[i].first, covariances[i].second, huber, motion);
+      add_ellipsoid(cost, pairs[i], covariances[i].first, covariances[i].second, huber, motion, contributions);
     }
     return cost;
   };
@@ -148,13 +126,16 @@ MinimisedMotion minimise_ellipsoid(const RectifiedCamera& camera, const std::vec
     }
     result.converged = tiny || damping > 1e9;
   }
-  return finished(result, cost.hessian, cost.squares, pairs.size());
+  std::vector<Vector6d> contributions;
+  cost = cost_at(result.prev_from_cur, &contributions);
+  return finished(result, camera, pairs, cost.hessian, contributions);
 }
 
 // One point of the two-view bundle adjustment (4.7, 4.8).
 struct ImagePoint {
   Eigen::Vector3d seen_prev, seen_cur;  // measured image coordinates [px]
   Eigen::Vector3d point;                // in the current camera [m]
+  Eigen::Matrix3d whitening;            // as in PointPair
   // Of the last linearisation, by the point in the previous camera:
   Eigen::Matrix3d prev_hessian;     // what the previous view contributes
   Eigen::Matrix3d inverse_hessian;  // of both views
@@ -166,13 +147,24 @@ struct ImagePoint {
   }
 };
 
+std::vector<ImagePoint> image_points(const RectifiedCamera& camera, const std::vector<PointPair>& pairs) {
+  std::vector<ImagePoint> points(pairs.size());
+  for (size_t i = 0; i < pairs.size(); ++i) {
+    points[i].seen_prev = reconstruct::image_coordinates(camera, pairs[i].prev);
+    points[i].seen_cur = reconstruct::image_coordinates(camera, pairs[i].cur);
+    points[i].point = pairs[i].cur;
+    points[i].whitening = pairs[i].whitening;
+  }
+  return points;
+}
+
 // Squared error in units of pixel_error^2; infinite if the point lies behind a camera.
 double image_square(const RectifiedCamera& camera, const ImagePoint& point, const Eigen::Vector3d& at,
                     double pixel_error, const Pose& prev_from_cur) {
   const Eigen::Vector3d in_prev = prev_from_cur * at;
   if (!(at.z() > 0) || !(in_prev.z() > 0)) return std::numeric_limits<double>::infinity();
-  return ((reconstruct::image_coordinates(camera, in_prev) - point.seen_prev).squaredNorm() +
-          (reconstruct::image_coordinates(camera, at) - point.seen_cur).squaredNorm()) /
+  return ((point.whitening * (reconstruct::image_coordinates(camera, in_prev) - point.seen_prev)).squaredNorm() +
+          (point.whitening * (reconstruct::image_coordinates(camera, at) - point.seen_cur)).squaredNorm()) /
          (pixel_error * pixel_error);
 }
 
@@ -183,17 +175,18 @@ double robust(double square, double huber) {
 // Gradient and Hessian of the motion with all points eliminated by their 3x3 Schur complements; each point keeps what
 // its own step needs.
 MotionCost linearise(const RectifiedCamera& camera, std::vector<ImagePoint>& points, double pixel_error, double huber,
-                     double damping, const Pose& prev_from_cur) {
+                     double damping, const Pose& prev_from_cur, std::vector<Vector6d>* contributions = nullptr) {
   MotionCost cost;
   const double scale = 1 / pixel_error;
   const Eigen::Matrix3d& r = prev_from_cur.linear();
   for (ImagePoint& point : points) {
     point.turned = r * point.point;
     const Eigen::Vector3d in_prev = point.turned + prev_from_cur.translation();
-    const Eigen::Vector3d of_prev = scale * (reconstruct::image_coordinates(camera, in_prev) - point.seen_prev);
-    const Eigen::Vector3d of_cur = scale * (reconstruct::image_coordinates(camera, point.point) - point.seen_cur);
-    const Eigen::Matrix3d by_prev = scale * reconstruct::image_jacobian(camera, in_prev);
-    const Eigen::Matrix3d by_cur = scale * reconstruct::image_jacobian(camera, point.point) * r.transpose();
+    const Eigen::Matrix3d w = scale * point.whitening;
+    const Eigen::Vector3d of_prev = w * (reconstruct::image_coordinates(camera, in_prev) - point.seen_prev);
+    const Eigen::Vector3d of_cur = w * (reconstruct::image_coordinates(camera, point.point) - point.seen_cur);
+    const Eigen::Matrix3d by_prev = w * reconstruct::image_jacobian(camera, in_prev);
+    const Eigen::Matrix3d by_cur = w * reconstruct::image_jacobian(camera, point.point) * r.transpose();
     const Eigen::Vector3d prev_gradient = by_prev.transpose() * of_prev;
     point.prev_hessian = by_prev.transpose() * by_prev;
     Eigen::Matrix3d hessian = point.prev_hessian + by_cur.transpose() * by_cur;
@@ -212,7 +205,8 @@ MotionCost linearise(const RectifiedCamera& camera, std::vector<ImagePoint>& poi
     reduced.bottomLeftCorner<3, 3>() = x * h;
     reduced.topRightCorner<3, 3>() = reduced.bottomLeftCorner<3, 3>().transpose();
     reduced.bottomRightCorner<3, 3>() = -reduced.bottomLeftCorner<3, 3>() * x;
-    add(cost, of_prev.squaredNorm() + of_cur.squaredNorm(), gradient, reduced, huber);
+    const double weight = add(cost, of_prev.squaredNorm() + of_cur.squaredNorm(), gradient, reduced, huber);
+    if (contributions) contributions->push_back(weight * gradient);
   }
   return cost;
 }
@@ -221,13 +215,10 @@ MotionCost linearise(const RectifiedCamera& camera, std::vector<ImagePoint>& poi
 MinimisedMotion minimise_image(const RectifiedCamera& camera, const std::vector<PointPair>& pairs, double pixel_error,
                                double huber, const Pose& guess) {
   MinimisedMotion result{.converged = false, .prev_from_cur = guess};
-  std::vector<ImagePoint> points(pairs.size());
+  std::vector<ImagePoint> points = image_points(camera, pairs);
   std::vector<Eigen::Vector3d> moved(pairs.size());
   double value = 0;
   for (size_t i = 0; i < pairs.size(); ++i) {
-    points[i].seen_prev = reconstruct::image_coordinates(camera, pairs[i].first);
-    points[i].seen_cur = reconstruct::image_coordinates(camera, pairs[i].second);
-    points[i].point = pairs[i].second;
     value += robust(image_square(camera, points[i], points[i].point, pixel_error, guess), huber);
   }
   double damping = 1e-6;
@@ -258,11 +249,48 @@ MinimisedMotion minimise_image(const RectifiedCamera& camera, const std::vector<
     }
     result.converged = decrease < kRest || damping > 1e9;
   }
-  const MotionCost cost = linearise(camera, points, pixel_error, huber, 0, result.prev_from_cur);
-  return finished(result, cost.hessian, cost.squares, pairs.size());
+  std::vector<Vector6d> contributions;
+  const MotionCost cost = linearise(camera, points, pixel_error, huber, 0, result.prev_from_cur, &contributions);
+  return finished(result, camera, pairs, cost.hessian, contributions);
+}
+
+// The cost with every point where its own error is least.
+MotionCost image_cost(const RectifiedCamera& camera, const std::vector<PointPair>& pairs, double pixel_error,
+                      double huber, const Pose& prev_from_cur) {
+  std::vector<ImagePoint> points = image_points(camera, pairs);
+  for (ImagePoint& point : points) {
+    if (!std::isfinite(image_square(camera, point, point.point, pixel_error, prev_from_cur))) {
+      return {.value = std::numeric_limits<double>::infinity()};
+    }
+  }
+  constexpr int kSteps = 20;
+  for (int step = 0; step < kSteps; ++step) {
+    linearise(camera, points, pixel_error, 0, 0, prev_from_cur);
+    for (ImagePoint& point : points) {
+      Eigen::Vector3d move = prev_from_cur.linear().transpose() * point.step_for(Vector6d::Zero());
+      const double before = image_square(camera, point, point.point, pixel_error, prev_from_cur);
+      for (int halving = 0; halving < 8; ++halving, move /= 2) {
+        if (image_square(camera, point, point.point + move, pixel_error, prev_from_cur) > before) continue;
+        point.point += move;
+        break;
+      }
+    }
+  }
+  return linearise(camera, points, pixel_error, huber, 0, prev_from_cur);
 }
 
 }  // namespace
+
+MotionCost motion_cost(const RectifiedCamera& camera, const std::vector<PointPair>& pairs, ErrorModel model,
+                       double pixel_error, double huber, const Pose& prev_from_cur) {
+  if (model == ErrorModel::image) return image_cost(camera, pairs, pixel_error, huber, prev_from_cur);
+  MotionCost cost;
+  for (const PointPair& pair : pairs) {
+    add_ellipsoid(cost, pair, reconstruct::point_covariance(camera, pair.prev, pixel_error),
+                  reconstruct::point_covariance(camera, pair.cur, pixel_error), huber, prev_from_cur);
+  }
+  return cost;
+}
 
 MinimisedMotion minimise_motion(const RectifiedCamera& camera, const std::vector<PointPair>& pairs, ErrorModel model,
                                 double pixel_error, double huber, const Pose& guess) {

@@ -62,7 +62,11 @@ std::vector<Correspondence> keypoint_matches(const RescueFeatures& prev, const R
     const Eigen::Vector2d& p = track.position;
     const double disparity = usable_disparity(cur.dense.disparity, p.x(), p.y(), camera, options);
     if (disparity == 0) continue;
-    result.push_back({-1, -1, from.point_in_cam, camera.point(p.x(), p.y(), disparity), (p - at).norm()});
+    result.push_back({.prev_corner = -1,
+                      .cur_corner = -1,
+                      .prev_point = from.point_in_cam,
+                      .cur_point = camera.point(p.x(), p.y(), disparity),
+                      .moved = (p - at).norm()});
   }
   return result;
 }
@@ -75,7 +79,7 @@ RescueFeatures rescue_features(const ViewFeatures& view, const RectifiedCamera& 
   ScsOptions more = options;
   more.max_corners = 4 * options.max_corners;
   more.min_strength = options.min_strength / 10;
-  RescueFeatures result{.dense = extract_features(view.image, view.disparity, camera, more)};
+  RescueFeatures result{.dense = extract_features(view.image, view.disparity, camera, more, view.right)};
   std::vector<cv::KeyPoint> found, usable;
   const auto sift = cv::SIFT::create(kMaxKeypoints, 3, kMinContrast);
   sift->detect(view.image, found);

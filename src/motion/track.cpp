@@ -9,7 +9,8 @@ namespace iris::motion {
 namespace {
 
 constexpr int kHalf = kTrackWindow / 2;
-constexpr int kRow = 16;      // values a row: a whole number of vectors; the last is 0
+constexpr int kRow = 16;              // values a row: a whole number of vectors; the last is 0
+constexpr float kSameSurface = 0.8f;  // [px] least difference of disparity from another surface
 constexpr float kScale = 16;  // steps a grey level: sums of products of two such values over the square fit 32 bits
 
 using Square = std::array<int16_t, kTrackWindow * kRow>;
@@ -17,6 +18,13 @@ using Square = std::array<int16_t, kTrackWindow * kRow>;
 int32_t product_sum(const Square& a, const Square& b) {
   int32_t sum = 0;
   for (size_t i = 0; i < a.size(); ++i) sum += int32_t{a[i]} * int32_t{b[i]};
+  return sum;
+}
+
+uint32_t square_sum(const Square& a, const Square& inside) {
+  uint32_t sum = 0;
+  for (size_t i = 0; i < a.size(); ++i)
+    sum += static_cast<uint32_t>(int32_t{a[i]} * int32_t{a[i]} * int32_t{inside[i]});
   return sum;
 }
 
@@ -29,34 +37,63 @@ int32_t value_sum(const Square& a) {
 // The surroundings of `from` at `at` as they appear in `to`, and their gradients.
 struct Template {
   Square values{}, dx{}, dy{};
+  Square inside{};  // 1 where the pixel belongs to the surface
 };
 
-bool sample_template(const cv::Mat1b& image, const Eigen::Vector2d& at, const Eigen::Matrix2d& from_from_to,
-                     Template& result) {
+bool sample_template(const cv::Mat1b& image, const Eigen::Vector2d& at, const Eigen::Matrix3d& from_from_to,
+                     const TrackedSurface& surface, Template& result) {
   constexpr int kSide = kTrackWindow + 2;  // one more on each side for the gradients
   constexpr int kReach = kHalf + 1;
-  const Eigen::Vector2d reach = from_from_to.cwiseAbs() * Eigen::Vector2d::Constant(kReach);
-  if (!(at.x() - reach.x() >= 0 && at.y() - reach.y() >= 0 && at.x() + reach.x() < image.cols - 1 &&
-        at.y() + reach.y() < image.rows - 1)) {
-    return false;
+  const Eigen::Matrix3d h = from_from_to / from_from_to(2, 2);
+  // Within the square the denominator is linear, and so positive where its corners' are; images of lines are lines, so
+  // that all samples lie between those of the corners.
+  for (const int j : {-kReach, kReach}) {
+    for (const int i : {-kReach, kReach}) {
+      const Eigen::Vector3d p = h * Eigen::Vector3d(i, j, 1);
+      if (!(p.z() > 0.5)) return false;
+      const Eigen::Vector2d q = at + p.head<2>() / p.z();
+      if (!(q.x() >= 0 && q.y() >= 0 && q.x() < image.cols - 1 && q.y() < image.rows - 1)) return false;
+    }
   }
-  std::array<std::array<int16_t, kSide>, kSide> v;
+  const Eigen::Matrix3f f = h.cast<float>();
+  const int left = static_cast<int>(at.x()), top = static_cast<int>(at.y());
+  const Eigen::Vector2f rest = (at - Eigen::Vector2d(left, top)).cast<float>();
+  const auto slope_x = static_cast<float>(surface.slope.x()), slope_y = static_cast<float>(surface.slope.y());
+  const auto plane_at_0 = static_cast<float>(surface.at_point - surface.slope.dot(at));
+  std::array<std::array<int16_t, kSide>, kSide> v, inside;
+  for (auto& row : inside) row.fill(1);
   for (int j = 0; j < kSide; ++j) {
+    float xs[kSide], ys[kSide];
     for (int i = 0; i < kSide; ++i) {
-      const Eigen::Vector2d p = at + from_from_to * Eigen::Vector2d(i - kReach, j - kReach);
-      const int x = static_cast<int>(p.x()), y = static_cast<int>(p.y());
-      const float fx = static_cast<float>(p.x() - x), fy = static_cast<float>(p.y() - y);
+      const float a = static_cast<float>(i - kReach), b = static_cast<float>(j - kReach);
+      const float scale = 1 / (f(2, 0) * a + f(2, 1) * b + 1);
+      xs[i] = rest.x() + (f(0, 0) * a + f(0, 1) * b + f(0, 2)) * scale;
+      ys[i] = rest.y() + (f(1, 0) * a + f(1, 1) * b + f(1, 2)) * scale;
+    }
+    for (int i = 0; i < kSide; ++i) {
+      const float floor_x = std::floor(xs[i]), floor_y = std::floor(ys[i]);
+      const int x = left + static_cast<int>(floor_x), y = top + static_cast<int>(floor_y);
+      const float fx = xs[i] - floor_x, fy = ys[i] - floor_y;
       const uint8_t *above = image[y] + x, *below = image[y + 1] + x;
-      const float top = above[0] + fx * static_cast<float>(above[1] - above[0]);
-      const float bottom = below[0] + fx * static_cast<float>(below[1] - below[0]);
-      v[j][i] = static_cast<int16_t>(kScale * (top + fy * (bottom - top)) + 0.5f);
+      const float upper = above[0] + fx * static_cast<float>(above[1] - above[0]);
+      const float lower = below[0] + fx * static_cast<float>(below[1] - below[0]);
+      v[j][i] = static_cast<int16_t>(kScale * (upper + fy * (lower - upper)) + 0.5f);
+      if (surface.disparity) {
+        const int nearest_x = x + (fx >= 0.5f ? 1 : 0), nearest_y = y + (fy >= 0.5f ? 1 : 0);
+        const float d = (*surface.disparity)(nearest_y, nearest_x);
+        const float plane =
+            plane_at_0 + slope_x * static_cast<float>(nearest_x) + slope_y * static_cast<float>(nearest_y);
+        inside[j][i] = !(d > 0) || std::abs(d - plane) <= kSameSurface ? 1 : 0;
+      }
     }
   }
   for (int j = 0; j < kTrackWindow; ++j) {
     for (int i = 0; i < kTrackWindow; ++i) {
-      result.values[j * kRow + i] = v[j + 1][i + 1];
-      result.dx[j * kRow + i] = static_cast<int16_t>((v[j + 1][i + 2] - v[j + 1][i]) / 2);
-      result.dy[j * kRow + i] = static_cast<int16_t>((v[j + 2][i + 1] - v[j][i + 1]) / 2);
+      const int16_t in = inside[j + 1][i + 1];
+      result.inside[j * kRow + i] = in;
+      result.values[j * kRow + i] = static_cast<int16_t>(in * v[j + 1][i + 1]);
+      result.dx[j * kRow + i] = static_cast<int16_t>(in * ((v[j + 1][i + 2] - v[j + 1][i]) / 2));
+      result.dy[j * kRow + i] = static_cast<int16_t>(in * ((v[j + 2][i + 1] - v[j][i + 1]) / 2));
     }
   }
   return true;
@@ -82,53 +119,106 @@ bool sample_square(const cv::Mat1b& image, const Eigen::Vector2d& p, Square& res
   return true;
 }
 
-}  // namespace
+// Sums over the square in `to`, as far as it shows the surface, and over its products with the template.
+struct Sums {
+  int32_t values = 0, dx = 0, dy = 0, both = 0;
+};
 
-PatchTrack track_patch(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to,
-                       const Eigen::Vector2d& start, const Eigen::Matrix2d& to_from_from) {
+Sums sums_of(const Square& square, const Template& t) {
+  Sums sums;
+  for (size_t i = 0; i < square.size(); ++i) {
+    const int32_t v = square[i];
+    sums.values += v * int32_t{t.inside[i]};
+    sums.dx += v * int32_t{t.dx[i]};
+    sums.dy += v * int32_t{t.dy[i]};
+    sums.both += v * int32_t{t.values[i]};
+  }
+  return sums;
+}
+
+PatchTrack track(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to, const Eigen::Vector2d& start,
+                 const Eigen::Matrix3d& to_from_from, const TrackedSurface& surface, bool along_row) {
   constexpr int kSteps = 20;
   constexpr double kRest = 0.005;  // [px] a step below this changes nothing
   constexpr double kFlat = 1.0;    // [(grey levels/px)^2] least mean squared gradient any way
-  constexpr double kCount = kTrackWindow * kTrackWindow;
+  constexpr int kLeast = kTrackWindow * kTrackWindow / 3;
   PatchTrack result;
   Template t;
-  if (!(std::abs(to_from_from.determinant()) > 0.1) || !sample_template(from, at, to_from_from.inverse(), t)) {
+  if (!(std::abs(to_from_from.topLeftCorner<2, 2>().determinant()) > 0.1) ||
+      !sample_template(from, at, to_from_from.inverse(), surface, t)) {
     return result;
   }
-  // Normal equations of the offset (dx, dy) and of the brightness, which is eliminated by its mean.
-  const double sx = value_sum(t.dx), sy = value_sum(t.dy), st = value_sum(t.values);
-  const double xx = product_sum(t.dx, t.dx) - sx * sx / kCount, xy = product_sum(t.dx, t.dy) - sx * sy / kCount,
-               yy = product_sum(t.dy, t.dy) - sy * sy / kCount;
-  const double det = xx * yy - xy * xy;
-  const double smallest = (xx + yy) / 2 - std::hypot((xx - yy) / 2, xy);
-  if (!(smallest > kFlat * kScale * kScale * kCount)) return result;
-
-  Eigen::Vector2d p = start;
-  Square square{}, difference{};
-  for (int step = 0; step < kSteps; ++step) {
-    if (!sample_square(to, p, square)) return result;
-    for (size_t i = 0; i < square.size(); ++i) difference[i] = static_cast<int16_t>(square[i] - t.values[i]);
-    const double mean = value_sum(difference) / kCount;
-    const double gx = product_sum(t.dx, difference) - mean * sx, gy = product_sum(t.dy, difference) - mean * sy;
-    const Eigen::Vector2d move(-(yy * gx - xy * gy) / det, -(xx * gy - xy * gx) / det);
-    p += move;
-    if (!((p - start).norm() <= kHalf)) return result;
-    if (move.norm() < kRest) {
-      const double ss = value_sum(square);
-      // Squares of values do not fit 32 bits, those of differences from a value within the range do.
-      double both = 0, of_template = 0, of_square = 0;
-      for (size_t i = 0; i < square.size(); ++i) {
-        if (i % kRow == kTrackWindow) continue;
-        const double a = t.values[i] - st / kCount, b = square[i] - ss / kCount;
-        both += a * b;
-        of_template += a * a;
-        of_square += b * b;
-      }
-      result = {.found = true, .position = p, .similarity = both / std::sqrt(std::max(of_template * of_square, 1.0))};
-      return result;
+  const double count = value_sum(t.inside);
+  if (count < kLeast) return result;
+  // Around their mean, the template's values have no more than half of their range, and all sums below fit 32 bits.
+  const auto middle = static_cast<int16_t>(std::lround(value_sum(t.values) / count));
+  for (int j = 0; j < kTrackWindow; ++j) {
+    for (int i = 0; i < kTrackWindow; ++i) {
+      const int k = j * kRow + i;
+      t.values[k] = static_cast<int16_t>(t.values[k] - middle * t.inside[k]);
     }
   }
+  // Normal equations of the offset (dx, dy) and the contrast; the brightness is eliminated by the means.
+  const Eigen::Vector3d sum(value_sum(t.dx), value_sum(t.dy), value_sum(t.values));
+  Eigen::Matrix3d products;
+  products << product_sum(t.dx, t.dx), product_sum(t.dx, t.dy), product_sum(t.dx, t.values),  //
+      product_sum(t.dx, t.dy), product_sum(t.dy, t.dy), product_sum(t.dy, t.values),          //
+      product_sum(t.dx, t.values), product_sum(t.dy, t.values), product_sum(t.values, t.values);
+  Eigen::Matrix3d normal = products - sum * sum.transpose() / count;
+  const double xx = normal(0, 0), xy = normal(0, 1), yy = normal(1, 1);
+  const double smallest = along_row ? xx : (xx + yy) / 2 - std::hypot((xx - yy) / 2, xy);
+  if (!(smallest > kFlat * kScale * kScale * count)) return result;
+  const double of_template = normal(2, 2);
+  if (along_row) {
+    normal.row(1).setZero();
+    normal.col(1).setZero();
+    normal(1, 1) = 1;
+  }
+  const Eigen::Matrix3d inverse = normal.inverse();
+
+  Eigen::Vector2d p = start;
+  Square square{};
+  for (int step = 0; step < kSteps; ++step) {
+    if (!sample_square(to, p, square)) return result;
+    const Sums sums = sums_of(square, t);
+    // Of the products with the square and, for the offset, with the difference between square and template.
+    const Eigen::Vector3d with_square = Eigen::Vector3d(sums.dx, sums.dy, sums.both) - sums.values / count * sum;
+    Eigen::Vector3d gradient = with_square - (products.col(2) - sum * (sum(2) / count));
+    if (along_row) gradient(1) = 0;
+    const Eigen::Vector3d move = -inverse * gradient;
+    p += move.head<2>();
+    if (!((p - start).norm() <= kHalf)) return result;
+    if (move.head<2>().norm() >= kRest) continue;
+    const double values = sums.values, of_square = square_sum(square, t.inside) - values * values / count;
+    const double contrast = 1 - move(2);
+    const double residual = of_square - 2 * contrast * with_square(2) + contrast * contrast * of_template;
+    return {.found = true,
+            .position = p,
+            .similarity = with_square(2) / std::sqrt(std::max(of_template * of_square, 1.0)),
+            .covariance = std::max(residual, 0.0) / count * inverse.topLeftCorner<2, 2>()};
+  }
   return result;
+}
+
+}  // namespace
+
+PatchTrack track_patch(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to,
+                       const Eigen::Vector2d& start, const Eigen::Matrix3d& to_from_from,
+                       const TrackedSurface& surface) {
+  return track(from, at, to, start, to_from_from, surface, false);
+}
+
+PatchTrack track_patch(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to,
+                       const Eigen::Vector2d& start, const Eigen::Matrix2d& to_from_from) {
+  Eigen::Matrix3d warp = Eigen::Matrix3d::Identity();
+  warp.topLeftCorner<2, 2>() = to_from_from;
+  return track(from, at, to, start, warp, {}, false);
+}
+
+PatchTrack track_along_row(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to,
+                           const Eigen::Vector2d& start, const Eigen::Matrix3d& to_from_from,
+                           const TrackedSurface& surface) {
+  return track(from, at, to, start, to_from_from, surface, true);
 }
 
 }  // namespace iris::motion

@@ -59,7 +59,7 @@ class FrameStream {
     item.pair = rectifier_.rectify(item.frame);
     item.frame = {};
     item.disparity = stereo::mwmf(item.pair.left, item.pair.right, stereo_);
-    item.features = motion::extract_features(item.pair.left, item.disparity, camera(), options_.motion);
+    item.features = motion::extract_features(item.pair.left, item.disparity, camera(), options_.motion, item.pair.right);
   }
 
  private:

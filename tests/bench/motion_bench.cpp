@@ -112,7 +112,7 @@ std::vector<PointPair> noisy_pairs(const RectifiedCamera& camera, double noise) 
 
 Pose first_guess(const std::vector<PointPair>& pairs) {
   std::vector<Eigen::Vector3d> prev, cur;
-  for (const auto& [p, q] : pairs) {
+  for (const auto& [p, q, whitening] : pairs) {
     prev.push_back(p);
     cur.push_back(q);
   }

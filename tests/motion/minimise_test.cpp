@@ -45,7 +45,7 @@ class Minimise : public ::testing::TestWithParam<ErrorModel> {};
 TEST_P(Minimise, GradientEqualsTheNumericDerivative) {
   std::mt19937_64 random(4);
   auto pairs = simulated(30, some_motion(), 0.3, random);
-  pairs[3].first.x() += 0.1;  // beyond Huber's bound
+  pairs[3].prev.x() += 0.1;  // beyond Huber's bound
   const Pose at = perturbed(some_motion(), (Vector6d() << 0.01, -0.02, 0.005, 0.01, -0.01, 0.02).finished());
   for (const double huber : {0.0, 3.0}) {
     const MotionCost cost = motion_cost(kCamera, pairs, GetParam(), 0.1, huber, at);
@@ -87,12 +87,12 @@ double nested_image_error(const PointPair& pair, const Pose& prev_from_cur, doub
     const double s = kCamera.f / p.z();
     return Eigen::Vector4d(s * p.x(), s * p.y(), s * (p.x() - kCamera.baseline), s * p.y());
   };
-  const Eigen::Vector4d seen_prev = pixels(pair.first), seen_cur = pixels(pair.second);
+  const Eigen::Vector4d seen_prev = pixels(pair.prev), seen_cur = pixels(pair.cur);
   const auto error = [&](const Eigen::Vector3d& v) {
     return ((pixels(prev_from_cur * v) - seen_prev).squaredNorm() + (pixels(v) - seen_cur).squaredNorm()) /
            (pixel_error * pixel_error);
   };
-  Eigen::Vector3d best = pair.second;
+  Eigen::Vector3d best = pair.cur;
   double step = 0.01;
   for (int restart = 0; restart < 6; ++restart, step /= 20) {
     std::vector<std::pair<double, Eigen::Vector3d>> simplex{{error(best), best}};
@@ -175,7 +175,7 @@ TEST(MinimiseImage, EqualsTheNestedMinimisationOfTheThesis) {
 TEST(MinimiseImage, NoMotionNearbyIsBetterAlsoWithHubersBound) {
   std::mt19937_64 random(13);
   auto pairs = simulated(40, some_motion(), 0.1, random);
-  for (int i = 0; i < 6; ++i) pairs[i].first.x() += 0.02 * (i + 1);  // beyond the bound
+  for (int i = 0; i < 6; ++i) pairs[i].prev.x() += 0.02 * (i + 1);  // beyond the bound
   const MinimisedMotion joint = minimise_motion(kCamera, pairs, ErrorModel::image, 0.1, 3, some_motion());
   ASSERT_TRUE(joint.converged);
   const MotionCost cost = motion_cost(kCamera, pairs, ErrorModel::image, 0.1, 3, joint.prev_from_cur);

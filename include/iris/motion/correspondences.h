@@ -14,6 +14,9 @@ struct Correspondence {
   Eigen::Vector3d prev_point = Eigen::Vector3d::Zero();  // [m] in the previous camera
   Eigen::Vector3d cur_point = Eigen::Vector3d::Zero();   // [m] in the current camera
   double moved = 0;                                      // [px] by how much the current position was refined
+  // Covariance of x and y and variance of x in the right image [px^2], alike in both views; 0 = not known.
+  Eigen::Matrix2d left_covariance = Eigen::Matrix2d::Zero();
+  double right_variance = 0;
 };
 
 // Corner indices (previous, current) that are each other's best match: every patch is compared with every patch by the

@@ -24,18 +24,23 @@ struct Corner {
   double disparity = 0;                                    // [px] as measured, at that position
   Eigen::Vector3d point_in_cam = Eigen::Vector3d::Zero();  // [m]
   float strength = 0;                                      // Harris response
+  Eigen::Vector2d slope = Eigen::Vector2d::Zero();         // of the disparity around the corner [px/px]
+  double disparity_error = 0;                              // [px] standard deviation; 0 = not known
 };
 
 struct ViewFeatures {
   cv::Mat1b image;  // left rectified image
+  cv::Mat1b right;  // right rectified image; may be empty
   DisparityImage disparity;
   std::vector<Corner> corners;     // only those with a usable disparity
   std::vector<RankPatch> patches;  // one a corner
 };
 
-// Corners of a view that motion can use. Two calls with equal input give equal output, bit by bit.
+// Corners of a view that motion can use. With the right image their disparities are measured once more
+// (measure_disparities). Two calls with equal input give equal output, bit by bit.
 ViewFeatures extract_features(const cv::Mat1b& left_image, const DisparityImage& disparity,
-                              const RectifiedCamera& camera, const ScsOptions& options);
+                              const RectifiedCamera& camera, const ScsOptions& options,
+                              const cv::Mat1b& right_image = {});
 
 // Disparity at a sub-pixel position: 0 unless all pixels within 1 px of the nearest one carry a measured disparity and
 // the result is at least options.min_disparity; interpolated where the surface is continuous, else the nearest pixel's.

@@ -12,15 +12,17 @@
 // and a window's sum follows from the one to its left. The rows of a block are worked on in tiles of columns, so that
 // what must be kept from row to row stays in the cache; with x for the column and d for the candidate:
 //   pixels[row][x][d]   what each pixel contributes, for the rows inside of the windows (8 bits);
-//   columns[x][d]       sum over the window's height, updated from row to row (8 bits if they suffice);
-//   windows[row][x][d]  sum over the whole window, for the rows that SAD5 needs;
+//   columns[x][d]       sum over the window's height, updated from row to row;
+//   running[d]          sum over the whole window, updated from column to column (16 bits);
+//   windows[row][x][d]  the same divided, for the rows that SAD5 needs;
 //   costs[x][d]         SAD5 of the last kGroup columns.
-// In one go along a row, each column goes through all of these steps up to the winner.
+// In one go along a row, each column goes through all of these steps up to the winner. Columns, windows and costs have
+// 8 bits if they suffice (twice the lanes, half the memory), else 16.
 #ifndef IRIS_STEREO_CORRELATION_BLOCK
 #define IRIS_STEREO_CORRELATION_BLOCK
 namespace iris::stereo {
 
-inline constexpr int kMaxLanes = 16;  // 16-bit lanes used at most: wider vectors gain nothing
+inline constexpr int kMaxLanes = 16;  // 16-bit lanes used at most, twice as many of 8 bits: wider vectors gain nothing
 inline constexpr int kGroup = 8;      // columns after which the search from the right takes part
 
 // Rows of both images, with room beside them, and the rows of the output for rows y0 … y1 - 1.
@@ -30,6 +32,7 @@ struct CorrelationBlock {
   ptrdiff_t right_stride;
   ptrdiff_t right_plane;  // from the image to each of the three planes of its census
   bool census;
+  bool bytes;  // suffice for columns, windows and costs
   int width, height;
   CorrelationParameters parameters;
   int tile;  // columns worked on together, a multiple of kGroup
@@ -62,8 +65,14 @@ using Vec8 = hn::Vec<Tag8>;
 // What one pixel of the left image contributes at as many consecutive candidates as a vector has bytes.
 class DifferenceCost {
  public:
-  HWY_INLINE DifferenceCost(const MatchImage& left, int y, int x, ptrdiff_t, int cap)
-      : left_(hn::Set(Tag8(), left.grey[y][x])), cap_(hn::Set(Tag8(), static_cast<uint8_t>(cap))) {}
+  struct Row {
+    const uint8_t* grey;
+    ptrdiff_t right_plane;
+    int cap;
+    Row(const MatchImage& left, int y, ptrdiff_t plane, int cap) : grey(left.grey[y]), right_plane(plane), cap(cap) {}
+  };
+  HWY_INLINE DifferenceCost(const Row& row, int x)
+      : left_(hn::Set(Tag8(), row.grey[x])), cap_(hn::Set(Tag8(), static_cast<uint8_t>(row.cap))) {}
   HWY_INLINE Vec8 at(const uint8_t* right) const {
     const auto b = hn::LoadU(Tag8(), right);
     return hn::Min(hn::Sub(hn::Max(left_, b), hn::Min(left_, b)), cap_);
@@ -75,12 +84,17 @@ class DifferenceCost {
 
 class CensusCost {
  public:
-  HWY_INLINE CensusCost(const MatchImage& left, int y, int x, ptrdiff_t right_plane, int cap)
-      : difference_(left, y, x, right_plane, cap),
-        a_(hn::Set(Tag8(), left.census[0][y][x])),
-        b_(hn::Set(Tag8(), left.census[1][y][x])),
-        c_(hn::Set(Tag8(), left.census[2][y][x])),
-        right_plane_(right_plane) {}
+  struct Row : DifferenceCost::Row {
+    const uint8_t *a, *b, *c;
+    Row(const MatchImage& left, int y, ptrdiff_t plane, int cap)
+        : DifferenceCost::Row(left, y, plane, cap), a(left.census[0][y]), b(left.census[1][y]), c(left.census[2][y]) {}
+  };
+  HWY_INLINE CensusCost(const Row& row, int x)
+      : difference_(row, x),
+        a_(hn::Set(Tag8(), row.a[x])),
+        b_(hn::Set(Tag8(), row.b[x])),
+        c_(hn::Set(Tag8(), row.c[x])),
+        right_plane_(row.right_plane) {}
   HWY_INLINE Vec8 at(const uint8_t* right) const {
     const Tag8 d8;
     const auto difference = difference_.at(right);
@@ -125,205 +139,314 @@ class CensusCost {
   ptrdiff_t right_plane_;
 };
 
+// Lanes of columns, windows and costs: uint8_t or uint16_t.
+template <class T>
+struct LanesOf {
+  using Tag = Tag16;
+};
+template <>
+struct LanesOf<uint8_t> {
+  using Tag = Tag8;
+};
+template <class T>
+using TagOf = typename LanesOf<T>::Tag;
+template <class T>
+inline constexpr T kNothing = static_cast<T>(-1);  // window or cost of what does not exist
+
 template <class D>
-HWY_INLINE uint16_t lowest_lane(D d, hn::Vec<D> v) {
+HWY_INLINE hn::TFromD<D> lowest_lane(D d, hn::Vec<D> v) {
 #if !HWY_HAVE_SCALABLE && HWY_TARGET != HWY_SCALAR
-  if constexpr (hn::MaxLanes(D()) > 8) {
+  if constexpr (hn::MaxLanes(D()) * sizeof(hn::TFromD<D>) > 16) {
     const hn::Half<D> half;
     return lowest_lane(half, hn::Min(hn::LowerHalf(half, v), hn::UpperHalf(half, v)));
-  }
+  } else if constexpr (sizeof(hn::TFromD<D>) == 1) {
+    const hn::Repartition<uint16_t, D> d16;
+    const auto pairs = hn::BitCast(d16, v);
+    const auto lower = hn::Min(hn::And(pairs, hn::Set(d16, uint16_t{255})), hn::ShiftRight<8>(pairs));
+    return static_cast<uint8_t>(lowest_lane(d16, lower));
+  } else
 #endif
-  return hn::GetLane(hn::MinOfLanes(d, v));
+    return hn::GetLane(hn::MinOfLanes(d, v));
 }
-
-// The windows of one pixel, at all candidates.
-struct Windows {
-  const uint16_t *middle, *upper_left, *upper_right, *lower_left, *lower_right;
-};
 
 // What remains of the costs of one pixel: for each lane the lowest two and the candidate of the lowest.
+template <class T>
 struct Lowest {
-  alignas(2 * kMaxLanes) uint16_t best[kMaxLanes];
-  alignas(2 * kMaxLanes) uint16_t second[kMaxLanes];
-  alignas(2 * kMaxLanes) uint16_t best_d[kMaxLanes];
+  alignas(2 * kMaxLanes) T best[2 * kMaxLanes / sizeof(T)];
+  alignas(2 * kMaxLanes) T second[2 * kMaxLanes / sizeof(T)];
+  alignas(2 * kMaxLanes) T best_d[2 * kMaxLanes / sizeof(T)];
 };
 
-// C0 + the two lowest of the four supporting windows (3.1). The two lowest are either both upper, both lower, or the
-// lower one of each: four comparisons (A.3). Sums saturate: kNone stays kNone. If vectors reach beyond the last
-// candidate (kPadded), no_candidate is kNone there, 0 elsewhere.
-template <bool kPadded>
-HWY_INLINE void sad5(const Windows windows, const uint16_t* HWY_RESTRICT no_candidate, int end,
-                     uint16_t* HWY_RESTRICT cost, Lowest* HWY_RESTRICT lowest) {
-  const Tag16 d16;
-  const int lanes = static_cast<int>(hn::Lanes(d16));
-  const auto step = hn::Set(d16, static_cast<uint16_t>(lanes));
-  auto best = hn::Set(d16, Correlation::kNone);
-  auto second = best, best_d = best, vd = hn::Iota(d16, 0);
-  for (int d = 0; d < end; d += lanes) {
-    const auto a = hn::Load(d16, windows.upper_left + d), b = hn::Load(d16, windows.upper_right + d);
-    const auto c = hn::Load(d16, windows.lower_left + d), e = hn::Load(d16, windows.lower_right + d);
-    const auto mixed = hn::SaturatedAdd(hn::Min(a, b), hn::Min(c, e));
-    const auto two = hn::Min(hn::Min(hn::SaturatedAdd(a, b), hn::SaturatedAdd(c, e)), mixed);
-    auto sum = hn::SaturatedAdd(hn::Load(d16, windows.middle + d), two);
-    if constexpr (kPadded) sum = hn::Or(sum, hn::LoadU(d16, no_candidate + d));
-    hn::Store(sum, d16, cost + d);
-    const auto lower = hn::Min(best, sum);
-    second = hn::Min(second, hn::Max(best, sum));
-    best_d = hn::IfThenElse(hn::Eq(lower, best), best_d, vd);
-    best = lower;
-    vd = hn::Add(vd, step);
+// The windows around pixels of one row, candidate after candidate, pixel after pixel.
+template <class T>
+struct Windows {
+  const T *middle, *upper_left, *upper_right, *lower_left;  // the fourth comes as a vector
+};
+
+// Costs of one pixel, candidate after candidate.
+template <class T>
+class Combination {
+ public:
+  using Tag = TagOf<T>;
+  using Vector = hn::Vec<Tag>;
+  HWY_INLINE Combination()
+      : best_(hn::Set(Tag(), kNothing<T>)),
+        second_(best_),
+        best_d_(best_),
+        d_(hn::Iota(Tag(), 0)),
+        step_(hn::Set(Tag(), static_cast<T>(hn::Lanes(Tag())))) {}
+
+  // The next candidates' costs: C0 + the two lowest of the four supporting windows (3.1). These are either both upper,
+  // both lower, or the lower one of each: four comparisons (A.3). Sums saturate: nothing stays nothing. Bits of
+  // `nothing` are set for what is no candidate.
+  HWY_INLINE void add(const Windows<T>& windows, Vector lower_right, ptrdiff_t at, Vector nothing,
+                      T* HWY_RESTRICT cost) {
+    const Tag d;
+    const auto a = hn::Load(d, windows.upper_left + at), b = hn::Load(d, windows.upper_right + at);
+    const auto c = hn::Load(d, windows.lower_left + at);
+    const auto mixed = hn::SaturatedAdd(hn::Min(a, b), hn::Min(c, lower_right));
+    const auto two = hn::Min(hn::Min(hn::SaturatedAdd(a, b), hn::SaturatedAdd(c, lower_right)), mixed);
+    const auto sum = hn::Or(hn::SaturatedAdd(hn::Load(d, windows.middle + at), two), nothing);
+    hn::Store(sum, d, cost);
+    const auto lower = hn::Min(best_, sum);
+    second_ = hn::Min(second_, hn::Max(best_, sum));
+    best_d_ = hn::IfThenElse(hn::Eq(lower, best_), best_d_, d_);
+    best_ = lower;
+    d_ = hn::Add(d_, step_);
   }
-  hn::Store(best, d16, lowest->best);
-  hn::Store(second, d16, lowest->second);
-  hn::Store(best_d, d16, lowest->best_d);
-}
 
-struct Selected {
-  uint16_t winner, cost, second;
+  HWY_INLINE void store(Lowest<T>* HWY_RESTRICT to) const {
+    const Tag d;
+    hn::Store(best_, d, to->best);
+    hn::Store(second_, d, to->second);
+    hn::Store(best_d_, d, to->best_d);
+  }
+
+ private:
+  Vector best_, second_, best_d_, d_, step_;
 };
 
-// Winner, its cost and the second minimum (3.4). The winner and its neighbours are in different lanes: in each of the
-// three, it is the second lowest cost that counts if the lowest is that of the winner or its neighbour.
-HWY_INLINE Selected select_left(const Lowest& lowest, const uint16_t* cost, int end) {
+// The lowest cost of a pixel and the smallest candidate that has it; candidate 0 if there is none.
+template <class T>
+struct Winner {
+  T cost, d;
+};
+HWY_INLINE Winner<uint16_t> find_winner(const Lowest<uint16_t>& lowest) {
+  const Tag16 d;
+  const auto best = hn::Load(d, lowest.best), none = hn::Set(d, kNothing<uint16_t>);
+  const uint16_t cost = lowest_lane(d, best);
+  const auto candidates = hn::IfThenElse(hn::Eq(best, hn::Set(d, cost)), hn::Load(d, lowest.best_d), none);
+  return {cost, cost == kNothing<uint16_t> ? uint16_t{0} : lowest_lane(d, candidates)};
+}
+#if HWY_TARGET != HWY_SCALAR
+HWY_INLINE Winner<uint8_t> find_winner(const Lowest<uint8_t>& lowest) {
+  const Tag8 d;
   const Tag16 d16;
-  const auto none = hn::Set(d16, Correlation::kNone);
-  const auto best = hn::Load(d16, lowest.best), best_d = hn::Load(d16, lowest.best_d);
-  Selected out;
-  out.cost = lowest_lane(d16, best);
-  out.winner = lowest_lane(d16, hn::IfThenElse(hn::Eq(best, hn::Set(d16, out.cost)), best_d, none));
-  if (hn::Lanes(d16) < 3) {
-    out.second = Correlation::kNone;
-    for (int d = 0; d < end; ++d) {
-      if (std::abs(d - out.winner) > 1) out.second = std::min(out.second, cost[d]);
+  const auto best = hn::Load(d, lowest.best), best_d = hn::Load(d, lowest.best_d);
+  const auto lower_half = hn::BitCast(d16, hn::InterleaveLower(d, best_d, best));
+  const auto upper_half = hn::BitCast(d16, hn::InterleaveUpper(d, best_d, best));
+  const uint16_t both = lowest_lane(d16, hn::Min(lower_half, upper_half));
+  const uint8_t cost = static_cast<uint8_t>(both >> 8);
+  return {cost, static_cast<uint8_t>(cost == kNothing<uint8_t> ? 0 : both)};
+}
+#endif
+
+// The second minimum (3.4). The winner and its neighbours are in different lanes: in each of the three, it is the
+// second lowest cost that counts if the lowest is that of the winner or its neighbour.
+template <class T>
+HWY_INLINE T find_second(const Lowest<T>& lowest, T winner, const T* cost, int end) {
+  const TagOf<T> d;
+  if (hn::Lanes(d) < 3) {
+    T second = kNothing<T>;
+    for (int i = 0; i < end; ++i) {
+      if (std::abs(i - winner) > 1) second = std::min(second, cost[i]);
     }
-    return out;
+    return second;
   }
-  const auto from_before = hn::Sub(best_d, hn::Set(d16, static_cast<uint16_t>(out.winner - 1)));
-  const auto near = hn::Eq(hn::Min(from_before, hn::Set(d16, uint16_t{2})), from_before);
-  out.second = lowest_lane(d16, hn::IfThenElse(near, hn::Load(d16, lowest.second), best));
-  return out;
+  const auto best_d = hn::Load(d, lowest.best_d), winners = hn::Set(d, winner);
+  const auto away = hn::Sub(hn::Max(best_d, winners), hn::Min(best_d, winners));
+  const auto near = hn::Eq(hn::Min(away, hn::Set(d, T{1})), away);
+  return lowest_lane(d, hn::IfThenElse(near, hn::Load(d, lowest.second), hn::Load(d, lowest.best)));
 }
 
-// The search from the right image, as far as kGroup columns of the left one take part in it: right pixels lie along
-// the vectors as the candidates do in the first of the columns, and meet the next candidate in the next column.
-HWY_INLINE void search_right(const uint16_t* cost, ptrdiff_t cost_stride, int begin, int end, uint16_t* best,
-                             uint16_t* best_d) {
-  const Tag16 d16;
-  const auto one = hn::Set(d16, uint16_t{1}), lane = hn::Iota(d16, 0);
-  for (int i = begin; i < end; i += static_cast<int>(hn::Lanes(d16))) {
-    auto b = hn::LoadU(d16, best + i);
-    auto bd = hn::LoadU(d16, best_d + i);
-    auto d = hn::Add(lane, hn::Set(d16, static_cast<uint16_t>(i)));
+// As 16-bit numbers.
+using TagOut = hn::CappedTag<uint16_t, kGroup>;
+HWY_INLINE hn::Vec<TagOut> load_wide(const uint16_t* values) { return hn::LoadU(TagOut(), values); }
+HWY_INLINE hn::Vec<TagOut> load_wide(const uint8_t* values) {
+  return hn::PromoteTo(TagOut(), hn::LoadU(hn::Rebind<uint8_t, TagOut>(), values));
+}
+
+// The rows of the output.
+struct OutputRows {
+  uint16_t *winner, *cost, *second, *before, *after;
+};
+
+// The pixels x … x + n - 1 of a group.
+template <class T>
+HWY_INLINE void select(const Lowest<T>* lowest, const T* costs, ptrdiff_t cost_stride, int end, int x, int n,
+                       const OutputRows& to) {
+  const TagOut d16;
+  T winner[kGroup], cost[kGroup], second[kGroup], before[kGroup], after[kGroup];
+  for (int i = 0; i < kGroup; ++i) {
+    const Winner<T> found = find_winner(lowest[i]);
+    winner[i] = found.d;
+    cost[i] = found.cost;
+  }
+  for (int i = 0; i < kGroup; ++i) {
+    const T* const of_pixel = costs + cost_stride * i;
+    second[i] = find_second(lowest[i], winner[i], of_pixel, end);
+    before[i] = of_pixel[winner[i] - 1];
+    after[i] = of_pixel[winner[i] + 1];
+  }
+  const auto write = [&](const T* value, const T* known, uint16_t* out) {
+    uint16_t wide[kGroup];
+    for (int i = 0; i < kGroup; i += static_cast<int>(hn::Lanes(d16))) {
+      const auto exists = hn::Ne(load_wide(known + i), hn::Set(d16, uint16_t{kNothing<T>}));
+      hn::StoreU(hn::IfThenElse(exists, load_wide(value + i), hn::Set(d16, Correlation::kNone)), d16, wide + i);
+    }
+    std::copy_n(wide, n, out + x);
+  };
+  write(winner, cost, to.winner);
+  write(cost, cost, to.cost);
+  write(second, second, to.second);
+  write(before, before, to.before);
+  write(after, after, to.after);
+}
+
+// The search from the right image, as far as kGroup columns of the left one, from x on, take part in it: right pixels
+// lie along the vectors as the candidates do in the first of the columns, and meet the next candidate in the next
+// column. best_x: the last bits of the column where the lowest cost was.
+template <class T>
+HWY_INLINE void search_right(const T* cost, ptrdiff_t cost_stride, int x, int end, T* best, T* best_x) {
+  const TagOf<T> d;
+  for (int i = 1 - kGroup; i < end; i += static_cast<int>(hn::Lanes(d))) {
+    auto b = hn::LoadU(d, best + i);
+    auto bx = hn::LoadU(d, best_x + i);
     for (int k = 0; k < kGroup; ++k) {
-      const auto lower = hn::Min(b, hn::LoadU(d16, cost + i + k * (cost_stride + 1)));
-      bd = hn::IfThenElse(hn::Eq(lower, b), bd, d);
+      const auto lower = hn::Min(b, hn::LoadU(d, cost + i + k * (cost_stride + 1)));
+      bx = hn::IfThenElse(hn::Eq(lower, b), bx, hn::Set(d, static_cast<T>(x + k)));
       b = lower;
-      d = hn::Add(d, one);
     }
-    hn::StoreU(b, d16, best + i);
-    hn::StoreU(bd, d16, best_d + i);
+    hn::StoreU(b, d, best + i);
+    hn::StoreU(bx, d, best_x + i);
   }
 }
 
-// Where the sums of one column are, at all candidates. Sum: uint8_t or uint16_t.
-template <class Sum>
+// Where the sums of one column are, at all candidates.
+template <class T>
 struct Column {
-  const uint8_t* right;       // at the first candidate
-  uint8_t* pixel;             // contributions of the row that leaves the window; replaced by those that enter
-  Sum* sums;                  // over the window's height
-  const Sum* leaves;          // sums of the column that leaves the window
-  const uint16_t* before;     // sums over the window one column before; may be `window`
-  uint16_t* window;           // sums over the window
-  const uint8_t* from_first;  // masks of the existing candidates
-  const uint8_t* to_last;
+  const uint8_t* right;  // at the first candidate
+  uint8_t* pixel;        // contributions of the row that leaves the window; replaced by those that enter
+  T* sums;               // over the window's height
+  const T* leaves;       // sums of the column that leaves the window
+  uint16_t* running;     // sums over the window (of each vector of bytes, the even candidates come first)
+  T* window;             // these, divided by 2^shift
+  int shift;
 };
 
-// As many sums as a vector of 16-bit numbers holds.
-HWY_INLINE Vec16 load_sums(const uint16_t* sums) { return hn::Load(Tag16(), sums); }
-HWY_INLINE Vec16 load_sums(const uint8_t* sums) {
-  return hn::PromoteTo(Tag16(), hn::Load(hn::Rebind<uint8_t, Tag16>(), sums));
+// The window moves on: the sums of a column enter, others leave. Returns what was stored as its sums.
+HWY_INLINE Vec16 move_window(const Column<uint16_t>& c, Vec16 enters, int d) {
+  const Tag16 d16;
+  const auto whole = hn::Add(hn::Load(d16, c.running + d), hn::Sub(enters, hn::Load(d16, c.leaves + d)));
+  hn::Store(whole, d16, c.running + d);
+  const auto window = hn::ShiftRightSame(whole, c.shift);
+  hn::Store(window, d16, c.window + d);
+  return window;
 }
 
-template <bool kMasked, bool kWindows, class Cost, class Sum>
-HWY_INLINE void move_column(const Cost& cost, const Column<Sum> c, int end) {
+// As many sums as one vector of bytes holds, from those of the row above: contributions `in` enter, `out` leave.
+template <bool kWindows, class Next>
+HWY_INLINE void move_sums(const Column<uint16_t>& c, Vec8 in, Vec8 out, int begin, const Next& next) {
+  const Tag16 d16;
+  const auto half = [&](Vec16 in16, Vec16 out16, int d) HWY_ATTR {
+    const auto sum = hn::Sub(hn::Add(hn::Load(d16, c.sums + d), in16), out16);
+    hn::Store(sum, d16, c.sums + d);
+    if constexpr (kWindows) next(move_window(c, sum, d), d);
+  };
+#if HWY_TARGET == HWY_SCALAR
+  half(hn::PromoteTo(d16, in), hn::PromoteTo(d16, out), begin);
+#else
+  const hn::Rebind<uint8_t, Tag16> d8;
+  const int lanes = static_cast<int>(hn::Lanes(d16));
+  half(hn::PromoteTo(d16, hn::LowerHalf(d8, in)), hn::PromoteTo(d16, hn::LowerHalf(d8, out)), begin);
+  half(hn::PromoteTo(d16, hn::UpperHalf(d8, in)), hn::PromoteTo(d16, hn::UpperHalf(d8, out)), begin + lanes);
+#endif
+}
+
+#if HWY_TARGET != HWY_SCALAR  // whose vectors of 16 bits cannot be taken for vectors of bytes
+
+HWY_INLINE Vec8 move_window(const Column<uint8_t>& c, Vec8 enters, int d) {
   const Tag16 d16;
   const Tag8 d8;
-  const hn::Rebind<uint8_t, Tag16> half8;
-  using Half8 = hn::Vec<decltype(half8)>;
-  [[maybe_unused]] const int lanes = static_cast<int>(hn::Lanes(d16));
-  Sum* HWY_RESTRICT const sums = c.sums;
-  const auto to_window = [&](Vec16 sum, int d) {
-    if constexpr (kWindows) {
-      const auto whole = hn::Add(hn::Load(d16, c.before + d), hn::Sub(sum, load_sums(c.leaves + d)));
-      hn::Store(whole, d16, c.window + d);
-    }
-  };
-  const auto update = [&](Half8 in, Half8 out, int d) {
-    if constexpr (sizeof(Sum) == 2) {
-      const auto sum = hn::Sub(hn::Add(hn::Load(d16, sums + d), hn::PromoteTo(d16, in)), hn::PromoteTo(d16, out));
-      hn::Store(sum, d16, sums + d);
-      to_window(sum, d);
-    }
-  };
+  const auto low_byte = hn::Set(d16, uint16_t{255});
+  const auto in = hn::BitCast(d16, enters), out = hn::BitCast(d16, hn::Load(d8, c.leaves + d));
+  uint16_t* const running = c.running + d;
+  uint16_t* const running_odd = running + hn::Lanes(d16);
+  const auto even = hn::Add(hn::Load(d16, running), hn::Sub(hn::And(in, low_byte), hn::And(out, low_byte)));
+  const auto odd = hn::Add(hn::Load(d16, running_odd), hn::Sub(hn::ShiftRight<8>(in), hn::ShiftRight<8>(out)));
+  hn::Store(even, d16, running);
+  hn::Store(odd, d16, running_odd);
+  const auto high = hn::AndNot(low_byte, hn::ShiftLeftSame(odd, 8 - c.shift));
+  const auto window = hn::BitCast(d8, hn::Or(hn::ShiftRightSame(even, c.shift), high));
+  hn::Store(window, d8, c.window + d);
+  return window;
+}
+
+template <bool kWindows, class Next>
+HWY_INLINE void move_sums(const Column<uint8_t>& c, Vec8 in, Vec8 out, int d, const Next& next) {
+  const Tag8 d8;
+  const auto sum = hn::Add(hn::Load(d8, c.sums + d), hn::Sub(in, out));  // modulo 256
+  hn::Store(sum, d8, c.sums + d);
+  if constexpr (kWindows) next(move_window(c, sum, d), d);
+}
+
+#endif
+
+// The sums of a column become those of the next row; of the contributions, those count whose bits in the mask are set.
+// If kWindows, the window moves on to this column; its sums go to next(sums, candidate) as well.
+template <bool kWindows, class Cost, class T, class Mask, class Next>
+HWY_INLINE void move_column(const Cost& cost, const Column<T>& c, int end, const Mask& masked, const Next& next) {
+  const Tag8 d8;
   for (int d = 0; d < end; d += static_cast<int>(hn::Lanes(d8))) {
-    auto in = cost.at(c.right + d);
-    if constexpr (kMasked) in = hn::And(in, hn::And(hn::LoadU(d8, c.from_first + d), hn::LoadU(d8, c.to_last + d)));
+    const auto in = masked(cost.at(c.right + d), d);
     const auto out = hn::Load(d8, c.pixel + d);
     hn::Store(in, d8, c.pixel + d);
-    if constexpr (sizeof(Sum) == 1) {
-      const auto sum = hn::Add(hn::Load(d8, sums + d), hn::Sub(in, out));  // modulo 256
-      hn::Store(sum, d8, sums + d);
-#if HWY_TARGET == HWY_SCALAR
-      to_window(hn::PromoteTo(d16, sum), d);
-#else
-      to_window(hn::PromoteTo(d16, hn::LowerHalf(half8, sum)), d);
-      if (d + lanes < end) to_window(hn::PromoteTo(d16, hn::UpperHalf(half8, sum)), d + lanes);
-#endif
-    } else {
-#if HWY_TARGET == HWY_SCALAR
-      update(in, out, d);
-#else
-      update(hn::LowerHalf(half8, in), hn::LowerHalf(half8, out), d);
-      if (d + lanes < end) update(hn::UpperHalf(half8, in), hn::UpperHalf(half8, out), d + lanes);
-#endif
-    }
+    move_sums<kWindows>(c, in, out, d, next);
   }
 }
 
-template <class Cost, class Sum>
+template <class Cost, class T>
 void correlate_rows(const CorrelationBlock& block) {
   const CorrelationParameters& p = block.parameters;
-  const Tag16 d16;
+  const TagOf<T> tag;
   const Tag8 d8;
-  const int lanes = static_cast<int>(hn::Lanes(d16)), lanes8 = static_cast<int>(hn::Lanes(d8));
+  const int lanes = static_cast<int>(hn::Lanes(tag)), lanes8 = static_cast<int>(hn::Lanes(d8));
   const int rx = p.window_width / 2, ry = p.window_height / 2;
   const int ring = 2 * ry + 1;
-  const ptrdiff_t stride = (p.disparities + lanes - 1) / lanes * lanes;      // of 16-bit values, per column
-  const ptrdiff_t stride8 = (p.disparities + lanes8 - 1) / lanes8 * lanes8;  // of bytes
+  const ptrdiff_t stride = (p.disparities + lanes8 - 1) / lanes8 * lanes8;  // of candidates, per column
   const int n_columns = block.tile + 4 * rx, n_windows = block.tile + 2 * rx;
-  const ptrdiff_t ring_stride = stride * n_windows, ring_stride8 = stride8 * n_columns;
-  const ptrdiff_t cost_stride = stride + 2 * kMaxLanes;
-  const auto pixels = hwy::AllocateAligned<uint8_t>(ring_stride8 * ring);
-  const ptrdiff_t column_stride = sizeof(Sum) == 1 ? stride8 : stride;
-  const auto columns_store = hwy::AllocateAligned<Sum>(column_stride * (n_columns + 2 * rx + 1));
-  Sum* const columns = columns_store.get() + column_stride * (2 * rx + 1);  // zeros before it
-  const auto windows = hwy::AllocateAligned<uint16_t>(ring_stride * ring);
-  // Sums over the window one column before: there, or here if they are not kept or have been scaled since.
+  const ptrdiff_t window_ring = stride * n_windows, pixel_ring = stride * n_columns;
+  constexpr int kBeside = 2 * kMaxLanes;  // what vectors may reach beyond either end of a row of costs
+  const ptrdiff_t cost_stride = stride + 2 * kBeside;
+  const auto pixels = hwy::AllocateAligned<uint8_t>(pixel_ring * ring);
+  const auto columns_store = hwy::AllocateAligned<T>(stride * (n_columns + 2 * rx + 1));
+  T* const columns = columns_store.get() + stride * (2 * rx + 1);  // zeros before it
+  const auto windows = hwy::AllocateAligned<T>(window_ring * ring);
+  const auto unused = hwy::AllocateAligned<T>(stride);  // windows that nobody asks for
   const auto running = hwy::AllocateAligned<uint16_t>(stride);
-  const uint16_t* before = running.get();
-  const auto costs_store = hwy::AllocateAligned<uint16_t>(cost_stride * (kGroup + 1));
-  uint16_t* const costs = costs_store.get() + kMaxLanes;
-  std::fill(costs - kMaxLanes, costs - kMaxLanes + cost_stride * (kGroup + 1), Correlation::kNone);
-  // Masks: all bits set from index stride8 to 2 stride8; kNone from index `disparities`.
-  std::vector<uint8_t> mask(3 * stride8 + lanes8, 0);
-  std::fill(mask.begin() + stride8, mask.begin() + 2 * stride8, uint8_t{255});
-  std::vector<uint16_t> no_candidate(stride, 0);
-  std::fill(no_candidate.begin() + p.disparities, no_candidate.end(), Correlation::kNone);
+  const auto costs_store = hwy::AllocateAligned<T>(cost_stride * (kGroup + 1));
+  T* const costs = costs_store.get() + kBeside;
+  std::fill_n(costs_store.get(), cost_stride * (kGroup + 1), kNothing<T>);
+  // Masks: all bits set from index stride to 2 stride; nothing from index `disparities`.
+  std::vector<uint8_t> mask(3 * stride + lanes8, 0);
+  std::fill(mask.begin() + stride, mask.begin() + 2 * stride, uint8_t{255});
+  std::vector<T> no_candidate(stride, 0);
+  std::fill(no_candidate.begin() + p.disparities, no_candidate.end(), kNothing<T>);
   // State of the search from the right, for every row of the block. Mirrored: pixel x has index right_origin - x.
-  const int right_origin = block.width + std::abs(p.min_disparity) + 2 * kMaxLanes;
-  const ptrdiff_t right_stride = right_origin + std::abs(p.min_disparity) + stride + 2 * kMaxLanes;
+  const int right_origin = block.width + std::abs(p.min_disparity) + kBeside;
+  const ptrdiff_t right_stride = right_origin + std::abs(p.min_disparity) + stride + kBeside;
   const size_t right_size = static_cast<size_t>(right_stride) * (block.y1 - block.y0);
-  std::vector<uint16_t> right_best(right_size, Correlation::kNone), right_d(right_size, Correlation::kNone);
+  std::vector<T> right_best(right_size, kNothing<T>), right_x(right_size);
 
   // Candidates first … last have a partner for column x of the image. Others are beyond either side.
   const auto first_candidate = [&](int x) {
@@ -333,185 +456,184 @@ void correlate_rows(const CorrelationBlock& block) {
   // All candidates of the columns up to x are before this one.
   std::vector<int> candidates_end(block.width + 2 * rx + block.tile);
   for (int x = 0; x < static_cast<int>(candidates_end.size()); ++x) {
-    candidates_end[x] = (last_candidate(std::min(x, block.width - 1)) + lanes) / lanes * lanes;
+    candidates_end[x] = (last_candidate(std::min(x, block.width - 1)) + lanes8) / lanes8 * lanes8;
   }
   std::vector<int> slot(block.height + 2 * ry);  // of row - ry in the rings
   for (int i = 0; i < static_cast<int>(slot.size()); ++i) slot[i] = i % ring;
-  Lowest lowest[kGroup];
+  Lowest<T> lowest[kGroup] = {};
 
   for (int x0 = 0; x0 < block.width; x0 += block.tile) {
     const int x1 = std::min(x0 + block.tile, block.width);
     const int x_columns = x0 - 2 * rx, x_windows = x0 - rx;  // image column of index 0
-    std::fill(pixels.get(), pixels.get() + ring_stride8 * ring, uint8_t{0});
-    std::fill(columns_store.get(), columns + column_stride * n_columns, Sum{0});
-    std::fill(windows.get(), windows.get() + ring_stride * ring, Correlation::kNone);
+    std::fill_n(pixels.get(), pixel_ring * ring, uint8_t{0});
+    std::fill_n(columns_store.get(), stride * (n_columns + 2 * rx + 1), T{0});
+    std::fill_n(windows.get(), window_ring * ring, kNothing<T>);
 
-    // The sums of column x for the windows of the row above become those of the row whose windows end at image row
-    // `row`. If kWindows, the sums of the windows that end at column x go to `window`.
-    const auto move = [&]<bool kWindows>(int row, int x, uint16_t* window) {
+    // Column x_columns of the windows that end at image row `row`.
+    const auto first_column = [&](int row) -> Column<T> {
       const int inside = std::clamp(row, 0, block.height - 1);
-      const Cost cost(*block.left, inside, x, block.right_plane, p.cap);
-      Sum* const sums = columns + column_stride * (x - x_columns);
-      const int first = first_candidate(x), last = last_candidate(x);
-      const Column<Sum> column = {.right = block.right + block.right_stride * inside - (x - p.min_disparity),
-                                  .pixel = pixels.get() + ring_stride8 * slot[row + ry] + stride8 * (x - x_columns),
-                                  .sums = sums,
-                                  .leaves = sums - column_stride * (2 * rx + 1),
-                                  .before = before,
-                                  .window = window,
-                                  .from_first = mask.data() + stride8 - first,
-                                  .to_last = mask.data() + 2 * stride8 - (last + 1)};
-      if (first == 0 && last == p.disparities - 1) {
-        move_column<false, kWindows>(cost, column, candidates_end[x]);
-      } else {
-        move_column<true, kWindows>(cost, column, candidates_end[x]);
-      }
+      return {.right = block.right + block.right_stride * inside - (x_columns - p.min_disparity),
+              .pixel = pixels.get() + pixel_ring * slot[row + ry],
+              .sums = columns,
+              .leaves = columns - stride * (2 * rx + 1),
+              .running = running.get(),
+              .window = nullptr,
+              .shift = p.shift};
+    };
+    const auto column_at = [&](const Column<T>& first, int x, T* window) HWY_ATTR -> Column<T> {
+      const ptrdiff_t i = x - x_columns;
+      return {.right = first.right - i,
+              .pixel = first.pixel + stride * i,
+              .sums = first.sums + stride * i,
+              .leaves = first.leaves + stride * i,
+              .running = first.running,
+              .window = window,
+              .shift = first.shift};
+    };
+    const auto left_row = [&](int row) {
+      return typename Cost::Row(*block.left, std::clamp(row, 0, block.height - 1), block.right_plane, p.cap);
+    };
+    const auto all = [](Vec8 in, int) HWY_ATTR { return in; };
+    const auto move = [&]<bool kWindows>(const typename Cost::Row& left, const Column<T>& first, int x,
+                                         T* window) HWY_ATTR {
+      const uint8_t* const from_first = mask.data() + stride - first_candidate(x);
+      const uint8_t* const to_last = mask.data() + 2 * stride - (last_candidate(x) + 1);
+      const auto existing = [&](Vec8 in, int d) HWY_ATTR {
+        return hn::And(in, hn::And(hn::LoadU(d8, from_first + d), hn::LoadU(d8, to_last + d)));
+      };
+      const auto ignore = [](auto, int) {};
+      move_column<kWindows>(Cost(left, x), column_at(first, x, window), candidates_end[x], existing, ignore);
     };
 
     // Sums over the windows of row y that end at column x_end.
-    const auto window_column = [&](int y, int x_end) {
+    const auto window_column = [&](const typename Cost::Row& left, const Column<T>& first_of_row, int y,
+                                   int x_end) HWY_ATTR {
       const int x = x_end - rx;
       const bool wanted = x >= x_windows && x >= 0 && x < block.width;
-      uint16_t* const window =
-          wanted ? windows.get() + ring_stride * slot[y + ry] + stride * (x - x_windows) : running.get();
+      T* const window = wanted ? windows.get() + window_ring * slot[y + ry] + stride * (x - x_windows) : unused.get();
       const int end = candidates_end[x_end];
       if (x_end >= block.width) {
-        const Sum* const leaves = columns + column_stride * (x_end - x_columns - (2 * rx + 1));
-        for (int d = 0; d < end; d += lanes) {
-          hn::Store(hn::Sub(hn::Load(d16, before + d), load_sums(leaves + d)), d16, window + d);
-        }
+        const Column<T> column = column_at(first_of_row, x_end, window);
+        for (int d = 0; d < end; d += lanes) move_window(column, hn::Zero(tag), d);
       } else {
-        move.template operator()<true>(y + ry, x_end, window);
+        move.template operator()<true>(left, first_of_row, x_end, window);
       }
-      before = window;
       if (!wanted) return;
       const int first = first_candidate(x), last = last_candidate(x);
       const auto scale = [&](int d) {  // a cut window
         const int a = std::max(0, p.min_disparity + d);
         const int b = std::min(block.width - 1, block.width - 1 + p.min_disparity + d);
         const int visible = std::min(x + rx, b) - std::max(x - rx, a) + 1;
+        const int at = sizeof(T) == 2 ? d : d / lanes * lanes + d % 2 * (lanes / 2) + d % lanes / 2;
         // Truncation is exact: the dividend has less than 24 bits, and no fraction is close enough to 1 to be rounded
         // up.
-        const float sum = static_cast<float>(window[d] * p.window_width);
-        window[d] = static_cast<uint16_t>(static_cast<int>(sum / static_cast<float>(visible)));
+        const float sum = static_cast<float>(running[at] * p.window_width);
+        window[d] = static_cast<T>(static_cast<int>(sum / static_cast<float>(visible)) >> p.shift);
       };
       // Not cut: those that have a partner for both ends of the window.
       const bool inside = x >= rx && x + rx < block.width;
       const int whole_begin = inside ? std::clamp(first_candidate(x + rx), first, last + 1) : last + 1;
       const int whole_end = inside ? std::clamp(last_candidate(x - rx) + 1, whole_begin, last + 1) : last + 1;
-      if (whole_begin == 0 && whole_end == p.disparities) return;
-      std::copy(window, window + end, running.get());
-      before = running.get();
       for (int d = first; d < whole_begin; ++d) scale(d);
       for (int d = whole_end; d <= last; ++d) scale(d);
-      std::fill(window, window + std::min(first, end), Correlation::kNone);
-      if (last + 1 < p.disparities) std::fill(window + last + 1, window + end, Correlation::kNone);
-    };
-
-    // The same for columns of which all candidates exist, for windows that are kept and not cut.
-    const int whole_begin = std::max({x0, 2 * rx, 2 * rx + p.min_disparity + p.disparities - 1});
-    const int whole_end = block.width + std::min(0, p.min_disparity);
-    const auto whole_column = [&](int y, int x_end) {
-      const int row = y + ry, inside = std::min(row, block.height - 1);
-      const Cost cost(*block.left, inside, x_end, block.right_plane, p.cap);
-      const ptrdiff_t i = x_end - x_columns;
-      const Column<Sum> column = {.right = block.right + block.right_stride * inside - (x_end - p.min_disparity),
-                                  .pixel = pixels.get() + ring_stride8 * slot[row + ry] + stride8 * i,
-                                  .sums = columns + column_stride * i,
-                                  .leaves = columns + column_stride * (i - (2 * rx + 1)),
-                                  .before = before,
-                                  .window = windows.get() + ring_stride * slot[y + ry] + stride * (x_end - x0),
-                                  .from_first = nullptr,
-                                  .to_last = nullptr};
-      move_column<false, true>(cost, column, static_cast<int>(stride));
-      before = column.window;
+      std::fill(window, window + std::min(first, end), kNothing<T>);
+      if (last + 1 < end) std::fill(window + last + 1, window + end, kNothing<T>);
     };
 
     const auto window_row = [&](int row) {
-      return windows.get() + ring_stride * slot[std::clamp(row, 0, block.height - 1) + ry];
+      return windows.get() + window_ring * slot[std::clamp(row, 0, block.height - 1) + ry];
     };
-    // The pixels x … x_end - 1 of a group.
-    const auto select = [&](int y, int x, int x_end) {
-      const int end = candidates_end[x_end - 1];
-      uint16_t* HWY_RESTRICT const winner_row = block.out->winner[y];
-      uint16_t* HWY_RESTRICT const cost_row = block.out->cost[y];
-      uint16_t* HWY_RESTRICT const second_row = block.out->second[y];
-      uint16_t* HWY_RESTRICT const before_row = block.out->before[y];
-      uint16_t* HWY_RESTRICT const after_row = block.out->after[y];
-      for (int i = 0; i < kGroup; ++i) {
-        const int known = x + i < x_end ? candidates_end[x + i] : 0;
-        if (known < stride) {
-          std::fill(costs + cost_stride * i + known, costs + cost_stride * i + stride, Correlation::kNone);
-        }
-      }
-      for (int i = 0; i < x_end - x; ++i) {
-        const uint16_t* const cost = costs + cost_stride * i;
-        const Selected selected = select_left(lowest[i], cost, candidates_end[x + i]);
-        const bool found = selected.winner != Correlation::kNone;
-        winner_row[x + i] = selected.winner;
-        cost_row[x + i] = selected.cost;
-        second_row[x + i] = selected.second;
-        before_row[x + i] = found ? cost[selected.winner - 1] : Correlation::kNone;
-        after_row[x + i] = found ? cost[selected.winner + 1] : Correlation::kNone;
-      }
-      const ptrdiff_t at = right_stride * (y - block.y0) + right_origin - x + p.min_disparity;
-      search_right(costs, cost_stride, -(kGroup + lanes - 2) / lanes * lanes, end, &right_best[at], &right_d[at]);
-    };
-
     const int first_row = std::max(0, block.y0 - ry);
     for (int row = first_row - ry; row < first_row + ry; ++row) {
+      const typename Cost::Row left = left_row(row);
+      const Column<T> first = first_column(row);
       for (int x = std::max(0, x_columns); x < std::min(x1 + 2 * rx, block.width); ++x) {
-        move.template operator()<false>(row, x, nullptr);
+        move.template operator()<false>(left, first, x, nullptr);
       }
     }
+    // Where all candidates of a window's last column exist, and the window is kept and not cut.
+    const int whole_begin = std::max({x0, 2 * rx, 2 * rx + p.min_disparity + p.disparities - 1});
+    const int whole_end = block.width + std::min(0, p.min_disparity);
     for (int y_windows = first_row; y_windows < block.y1 + ry; ++y_windows) {
       const int y = y_windows - ry;
-      const uint16_t* const middle = window_row(y);
-      const uint16_t* const upper = window_row(y - ry);
-      const uint16_t* const lower = window_row(y + ry);
-      std::fill(running.get(), running.get() + stride, uint16_t{0});
-      before = running.get();
-      for (int x_end = std::max(0, x_columns); x_end < x1 + 2 * rx; ++x_end) {
-        if (x_end >= whole_begin && x_end < whole_end && y_windows < block.height) {
-          whole_column(y_windows, x_end);
-        } else if (y_windows < block.height) {
-          window_column(y_windows, x_end);
+      const bool has_windows = y_windows < block.height;
+      const typename Cost::Row left = left_row(y_windows + ry);
+      const Column<T> first = first_column(std::min(y_windows, block.height - 1) + ry);
+      std::fill_n(running.get(), stride, uint16_t{0});
+      if (y < block.y0) {
+        for (int x_end = std::max(0, x_columns); x_end < x1 + 2 * rx; ++x_end) {
+          window_column(left, first, y_windows, x_end);
         }
-        const int x = x_end - 2 * rx;
-        if (y < block.y0 || x < x0) continue;
-        const int in_group = (x - x0) % kGroup;
-        const ptrdiff_t left_side = stride * (x - x0), right_side = left_side + 2 * rx * stride;
-        const Windows around = {.middle = middle + left_side + rx * stride,
-                                .upper_left = upper + left_side,
-                                .upper_right = upper + right_side,
-                                .lower_left = lower + left_side,
-                                .lower_right = lower + right_side};
-        uint16_t* const cost = costs + cost_stride * in_group;
-        if (stride > p.disparities) {
-          sad5<true>(around, no_candidate.data(), candidates_end[x], cost, &lowest[in_group]);
-        } else {
-          sad5<false>(around, nullptr, candidates_end[x], cost, &lowest[in_group]);
+        continue;
+      }
+      if (has_windows) {
+        for (int x_end = std::max(0, x_columns); x_end < x0 + 2 * rx; ++x_end) {
+          window_column(left, first, y_windows, x_end);
         }
-        if (in_group == kGroup - 1 || x == x1 - 1) select(y, x - in_group, x + 1);
+      }
+      T* const lower_right = window_row(y + ry) + 2 * rx * stride;
+      const Windows<T> around = {.middle = window_row(y) + rx * stride,
+                                 .upper_left = window_row(y - ry),
+                                 .upper_right = window_row(y - ry) + 2 * rx * stride,
+                                 .lower_left = window_row(y + ry)};
+      const OutputRows out = {block.out->winner[y], block.out->cost[y], block.out->second[y], block.out->before[y],
+                              block.out->after[y]};
+      for (int group = x0; group < x1; group += kGroup) {
+        const int group_end = std::min(group + kGroup, x1);
+        for (int x = group; x < group_end; ++x) {
+          const int x_end = x + 2 * rx;
+          const ptrdiff_t at = stride * (x - x0);
+          T* const cost = costs + cost_stride * (x - group);
+          Combination<T> combination;
+          if (has_windows && x_end >= whole_begin && x_end < whole_end) {
+            const Column<T> column = column_at(first, x_end, lower_right + at);
+            const auto combine = [&](auto window, int d) HWY_ATTR {
+              combination.add(around, window, at + d, hn::LoadU(tag, no_candidate.data() + d), cost + d);
+            };
+            move_column<true>(Cost(left, x_end), column, static_cast<int>(stride), all, combine);
+          } else {
+            if (has_windows) window_column(left, first, y_windows, x_end);
+            const int end = candidates_end[x];
+            for (int d = 0; d < end; d += lanes) {
+              combination.add(around, hn::Load(tag, lower_right + at + d), at + d,
+                              hn::LoadU(tag, no_candidate.data() + d), cost + d);
+            }
+            std::fill(cost + end, cost + stride, kNothing<T>);
+          }
+          combination.store(&lowest[x - group]);
+        }
+        for (int i = group_end - group; i < kGroup; ++i) std::fill_n(costs + cost_stride * i, stride, kNothing<T>);
+        const int end = candidates_end[group_end - 1];
+        select(lowest, costs, cost_stride, end, group, group_end - group, out);
+        const ptrdiff_t at = right_stride * (y - block.y0) + right_origin - group + p.min_disparity;
+        search_right(costs, cost_stride, group, end, &right_best[at], &right_x[at]);
       }
     }
   }
   for (int y = block.y0; y < block.y1; ++y) {
-    const uint16_t* const from = &right_d[right_stride * (y - block.y0) + right_origin];
+    const ptrdiff_t at = right_stride * (y - block.y0) + right_origin;
+    const T* const best = &right_best[at];
+    const T* const of_best = &right_x[at];
     uint16_t* const to = block.out->right_winner[y];
-    for (int x = 0; x < block.width; ++x) to[x] = from[-x];
+    for (int x = 0; x < block.width; ++x) {
+      const T d = static_cast<T>(of_best[-x] - x - p.min_disparity);
+      to[x] = best[-x] == kNothing<T> ? Correlation::kNone : d;
+    }
   }
 }
 
 void correlate_block(const CorrelationBlock& block) {
-  const CorrelationParameters& p = block.parameters;
   if (block.census) {
     correlate_rows<CensusCost, uint16_t>(block);
-  } else if (p.cap * p.window_height > 255) {
-    correlate_rows<DifferenceCost, uint16_t>(block);
-  } else {
-    correlate_rows<DifferenceCost, uint8_t>(block);
+    return;
   }
+#if HWY_TARGET != HWY_SCALAR
+  if (block.bytes) {
+    correlate_rows<DifferenceCost, uint8_t>(block);
+    return;
+  }
+#endif
+  correlate_rows<DifferenceCost, uint16_t>(block);
 }
 
 }  // namespace iris::stereo::HWY_NAMESPACE
@@ -546,11 +668,24 @@ struct Mirrored {
   }
 };
 
+// Whether 8 bits suffice for sums over a column, divided sums over a window and costs.
+bool fits_bytes(const CorrelationParameters& p) {
+  return p.window_height * p.cap <= 255 && p.shift <= 8 &&
+         (p.window_width * p.window_height * p.cap) >> p.shift <= 254 / 3;
+}
+
 }  // namespace
 
 int largest_cap(int window_width, int window_height, bool census) {
   const int of_pixel = std::min(255, (Correlation::kNone - 1) / (3 * window_width * window_height));
   return census ? (of_pixel - 24 * kCensusWeight) / kGreyWeight : of_pixel;
+}
+
+int shift_for_bytes(int window_width, int window_height, int cap) {
+  if (window_height * cap > 255) return 0;
+  int shift = 0;
+  while ((window_width * window_height * cap) >> shift > 254 / 3) ++shift;
+  return shift;
 }
 
 Correlation correlate(const MatchImage& left, const MatchImage& right, const CorrelationParameters& p) {
@@ -566,7 +701,8 @@ Correlation correlate(const MatchImage& left, const MatchImage& right, const Cor
   constexpr int kRowsPerBlock = 64;
   constexpr int kCacheBytes = 480 << 10;  // of the windows and pixels, the largest part of what a tile needs
 
-  const int tile_for_cache = std::max(kCacheBytes / (3 * p.disparities * p.window_height), 8 * kGroup);
+  const bool bytes = fits_bytes(p) && !census && p.disparities <= 256;
+  const int tile_for_cache = std::max(kCacheBytes / ((bytes ? 2 : 3) * p.disparities * p.window_height), 8 * kGroup);
   const int tiles = (size.width + tile_for_cache - 1) / tile_for_cache;
   const int tile = ((size.width + tiles - 1) / tiles + kGroup - 1) / kGroup * kGroup;
 
@@ -582,6 +718,7 @@ Correlation correlate(const MatchImage& left, const MatchImage& right, const Cor
                                     .right_stride = mirrored_right.stride,
                                     .right_plane = mirrored_right.plane,
                                     .census = census,
+                                    .bytes = bytes,
                                     .width = size.width,
                                     .height = size.height,
                                     .parameters = p,

@@ -25,11 +25,16 @@ struct CorrelationParameters {
   int window_width = 9;   // [px] odd
   int window_height = 7;  // [px] odd
   int cap = 255;          // [grey levels]
+  int shift = 0;          // sums over a window are divided by 2^shift and truncated
 };
 
 // The largest cap for which one pixel's contribution fits into 8 bits and a cost (the sum over three windows) into 16.
 // Negative if the windows are too large for any.
 int largest_cap(int window_width, int window_height, bool census);
+
+// The smallest shift for which costs (without census) fit into 8 bits, so that the search takes half the time; 0 if
+// even a column of a window does not fit.
+int shift_for_bytes(int window_width, int window_height, int cap);
 
 // What the filters need to know about each pixel of the left image. Disparities are indices 0 … disparities - 1, costs
 // are sums over three windows (the middle one and the two best of the four supporting ones, equation 3.1).

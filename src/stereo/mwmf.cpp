@@ -83,6 +83,8 @@ Matched match(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOptions& 
   const double cap = options.difference_cap > 0 ? options.difference_cap * units : max_cap;
   p.cap = options.measure == "census" ? 0 : static_cast<int>(std::lround(std::min<double>(cap, max_cap)));
 
+  if (fast && !comparison.census) p.shift = shift_for_bytes(p.window_width, p.window_height, p.cap);
+
   // The margin in the same units as the costs.
   double margin = options.min_margin * windows_in_cost(options.windows);
   if (comparison.measure == Measure::ncc) {
@@ -90,7 +92,7 @@ Matched match(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOptions& 
   } else {
     margin *= p.window_width * p.window_height * (comparison.measure == Measure::ssd ? units * units : units);
     if (comparison.census) margin *= kGreyWeight;
-    if (!fast) margin /= 1 << cost_shift(parameters, comparison.census);
+    margin /= 1 << (fast ? p.shift : cost_shift(parameters, comparison.census));
   }
   const MatchImage a = prepare(left), b = prepare(right);
   return {fast ? correlate(a, b, p) : compare(a, b, parameters), static_cast<int>(std::lround(margin))};

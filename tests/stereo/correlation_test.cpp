@@ -14,6 +14,16 @@ namespace {
 
 constexpr int kNone = Correlation::kNone;
 
+constexpr cv::Mat1w Correlation::*kMembers[] = {&Correlation::winner, &Correlation::cost,  &Correlation::second,
+                                                &Correlation::before, &Correlation::after, &Correlation::right_winner};
+
+void expect_equal(const Correlation& actual, const Correlation& expected) {
+  for (size_t i = 0; i < std::size(kMembers); ++i) {
+    ASSERT_EQ((actual.*kMembers[i]).size(), (expected.*kMembers[i]).size());
+    EXPECT_EQ(cv::countNonZero(actual.*kMembers[i] != expected.*kMembers[i]), 0) << "member " << i;
+  }
+}
+
 // Everything by its definition, window by window.
 class Reference {
  public:
@@ -28,7 +38,8 @@ class Reference {
     return 5 * bits + 2 * difference;
   }
 
-  // Sum over the window centred at (x, y); cut at the sides of either image and scaled, kNone if its centre is outside.
+  // Sum over the window centred at (x, y); cut at the sides of either image and scaled; divided; kNone if its centre is
+  // outside.
   int window(int y, int x, int d) const {
     if (!exists(x, d)) return kNone;
     int sum = 0, columns = 0;
@@ -39,7 +50,7 @@ class Reference {
         sum += pixel(std::clamp(v, 0, rows_ - 1), u, u - p_.min_disparity - d);
       }
     }
-    return sum * p_.window_width / columns;
+    return (sum * p_.window_width / columns) >> p_.shift;
   }
 
   // SAD5 (3.1): the supporting windows stand on the corners of the middle one; above and below they stay in the image.
@@ -52,38 +63,38 @@ class Reference {
     return std::min(kNone, window(y, x, d) + corners[0] + corners[1]);
   }
 
-  void expect_equal(const Correlation& c) const {
+  Correlation correlate() const {
+    Correlation c;
+    for (const auto member : kMembers) (c.*member).create(rows_, cols_);
     for (int y = 0; y < rows_; ++y) {
+      std::vector<std::vector<int>> costs(cols_, std::vector<int>(p_.disparities));
       for (int x = 0; x < cols_; ++x) {
-        std::vector<int> costs(p_.disparities);
-        for (int d = 0; d < p_.disparities; ++d) costs[d] = cost(y, x, d);
-        const int best = static_cast<int>(std::min_element(costs.begin(), costs.end()) - costs.begin());
-        if (costs[best] == kNone) {
-          ASSERT_EQ(c.winner(y, x), kNone) << y << " " << x;
-        } else {
-          int second = kNone;
-          for (int d = 0; d < p_.disparities; ++d) {
-            if (std::abs(d - best) > 1) second = std::min(second, costs[d]);
-          }
-          ASSERT_EQ(c.winner(y, x), best) << y << " " << x;
-          ASSERT_EQ(c.cost(y, x), costs[best]) << y << " " << x;
-          ASSERT_EQ(c.second(y, x), second) << y << " " << x;
-          ASSERT_EQ(c.before(y, x), best > 0 ? costs[best - 1] : kNone) << y << " " << x;
-          ASSERT_EQ(c.after(y, x), best + 1 < p_.disparities ? costs[best + 1] : kNone) << y << " " << x;
+        for (int d = 0; d < p_.disparities; ++d) costs[x][d] = cost(y, x, d);
+        const int best = static_cast<int>(std::min_element(costs[x].begin(), costs[x].end()) - costs[x].begin());
+        const bool found = costs[x][best] != kNone;
+        int second = kNone;
+        for (int d = 0; d < p_.disparities; ++d) {
+          if (std::abs(d - best) > 1) second = std::min(second, costs[x][d]);
         }
-        int right_best = kNone, right_cost = kNone;  // pixel x of the right image
+        const auto value = [](bool exists, int number) { return static_cast<uint16_t>(exists ? number : kNone); };
+        c.winner(y, x) = value(found, best);
+        c.cost(y, x) = value(found, costs[x][best]);
+        c.second(y, x) = value(found, second);
+        c.before(y, x) = found && best > 0 ? value(true, costs[x][best - 1]) : Correlation::kNone;
+        c.after(y, x) = found && best + 1 < p_.disparities ? value(true, costs[x][best + 1]) : Correlation::kNone;
+      }
+      for (int x = 0; x < cols_; ++x) {  // of the right image
+        int right_best = kNone, right_cost = kNone;
         for (int d = 0; d < p_.disparities; ++d) {
           const int u = x + p_.min_disparity + d;
-          if (u < 0 || u >= cols_) continue;
-          const int value = cost(y, u, d);
-          if (value < right_cost) {
-            right_cost = value;
-            right_best = d;
-          }
+          if (u < 0 || u >= cols_ || costs[u][d] >= right_cost) continue;
+          right_cost = costs[u][d];
+          right_best = d;
         }
-        ASSERT_EQ(c.right_winner(y, x), right_best) << y << " " << x;
+        c.right_winner(y, x) = static_cast<uint16_t>(right_best);
       }
     }
+    return c;
   }
 
  private:
@@ -123,10 +134,10 @@ TEST_P(CorrelationCases, EveryInstructionSetGivesTheDefinitionBitForBit) {
     parameters.cap = std::min(parameters.cap, max_cap);
     const MatchImage l = {left, census ? census_transform(left) : Census()};
     const MatchImage r = {right, census ? census_transform(right) : Census()};
-    const Reference reference(l, r, parameters);
+    const Correlation expected = Reference(l, r, parameters).correlate();
     testing::for_each_simd_target([&](const char* target) {
       SCOPED_TRACE(target);
-      reference.expect_equal(correlate(l, r, parameters));
+      expect_equal(correlate(l, r, parameters), expected);
     });
   }
 }
@@ -138,6 +149,15 @@ INSTANTIATE_TEST_SUITE_P(Sizes, CorrelationCases,
                                            Case{{45, 10}, {12, -6, 3, 5, 100}}, Case{{45, 10}, {12, -40, 5, 5, 100}},
                                            Case{{45, 10}, {12, 9, 11, 1, 100}}, Case{{40, 8}, {7, 0, 1, 1, 255}},
                                            Case{{40, 33}, {9, 0, 13, 15, 100}},
+                                           // Costs of 8 bits, up to the largest that fit; candidates that do not.
+                                           Case{{1, 1}, {4, 0, 7, 7, 24, 4}}, Case{{5, 3}, {8, 0, 7, 7, 24, 4}},
+                                           Case{{79, 70}, {33, 0, 7, 7, 24, 4}}, Case{{67, 9}, {64, 0, 7, 7, 27, 4}},
+                                           Case{{67, 9}, {13, -6, 7, 7, 36, 5}}, Case{{67, 9}, {64, 9, 3, 5, 5, 0}},
+                                           Case{{45, 10}, {12, -40, 13, 3, 85, 6}}, Case{{40, 8}, {7, 0, 1, 1, 255, 2}},
+                                           Case{{150, 5}, {256, -70, 5, 3, 28, 3}},
+                                           Case{{150, 5}, {257, -70, 5, 3, 28, 3}},
+                                           Case{{200, 4}, {512, -300, 3, 3, 24, 2}},
+                                           Case{{90, 12}, {32, 0, 7, 7, 24, 3}}, Case{{90, 12}, {32, 0, 7, 7, 27, 0}},
                                            // Sums over a column that just fit into 8 bits, or just do not.
                                            Case{{90, 12}, {32, 0, 7, 7, 36}}, Case{{110, 12}, {64, 0, 5, 5, 51}},
                                            Case{{110, 12}, {64, 0, 5, 5, 52}}));
@@ -147,8 +167,18 @@ TEST(Correlation, WideImagesInSeveralTilesAgreeWithTheDefinition) {
   cv::Mat1b left(6, 400), right(6, 400);
   random.fill(left, cv::RNG::UNIFORM, 0, 256);
   random.fill(right, cv::RNG::UNIFORM, 0, 256);
-  const CorrelationParameters parameters{300, 0, 9, 7, 24};
-  Reference({left, {}}, {right, {}}, parameters).expect_equal(correlate({left, {}}, {right, {}}, parameters));
+  for (const CorrelationParameters& parameters :
+       {CorrelationParameters{300, 0, 9, 7, 24}, CorrelationParameters{250, 0, 7, 7, 24, 4}}) {
+    expect_equal(correlate({left, {}}, {right, {}}, parameters),
+                 Reference({left, {}}, {right, {}}, parameters).correlate());
+  }
+}
+
+TEST(Correlation, ShiftMakesCostsFitIntoBytesIfColumnsDo) {
+  EXPECT_EQ(shift_for_bytes(7, 7, 24), 4);  // 1176 / 16 = 73
+  EXPECT_EQ(shift_for_bytes(7, 7, 36), 5);  // 252 is the largest sum over a column
+  EXPECT_EQ(shift_for_bytes(7, 7, 37), 0);
+  EXPECT_EQ(shift_for_bytes(3, 3, 9), 0);
 }
 
 TEST(Census, EveryInstructionSetGivesTheDefinition) {
@@ -188,13 +218,12 @@ TEST(Correlation, DoesNotDependOnThreads) {
   cv::Mat1b left(300, 150), right(300, 150);
   random.fill(left, cv::RNG::UNIFORM, 0, 256);
   random.fill(right, cv::RNG::UNIFORM, 0, 256);
-  const CorrelationParameters parameters{40, 0, 9, 7, 24};
-  Correlation one, many;
-  with_threads(1, [&] { one = correlate({left, {}}, {right, {}}, parameters); });
-  with_threads(4, [&] { many = correlate({left, {}}, {right, {}}, parameters); });
-  for (const auto member : {&Correlation::winner, &Correlation::cost, &Correlation::second, &Correlation::before,
-                            &Correlation::after, &Correlation::right_winner}) {
-    EXPECT_EQ(cv::countNonZero(one.*member != many.*member), 0);
+  for (const int shift : {0, 4}) {
+    const CorrelationParameters parameters{40, 0, 7, 7, 24, shift};
+    Correlation one, many;
+    with_threads(1, [&] { one = correlate({left, {}}, {right, {}}, parameters); });
+    with_threads(4, [&] { many = correlate({left, {}}, {right, {}}, parameters); });
+    expect_equal(many, one);
   }
 }
 

@@ -151,29 +151,37 @@ class Rows {
 
 }  // namespace
 
-cv::Mat1f correct_borders(const cv::Mat1b& left, const cv::Mat1b& right, const cv::Mat1f& disparity,
-                          const BorderParameters& p) {
+void correct_borders(const cv::Mat1b& left, const cv::Mat1b& right, const BorderParameters& p, cv::Mat1f& disparity,
+                     cv::Mat1b& corrected) {
   IRIS_CHECK(left.size() == right.size() && left.size() == disparity.size());
   IRIS_CHECK(p.min_step >= 1 && p.reach >= 0 && p.rows % 2 == 1 && p.rows <= 127 && p.cap >= 0);
-  cv::Mat1f out = disparity.clone();
+  corrected.create(disparity.size());
   parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
     std::vector<Step> steps;
     std::vector<uint8_t> changes(disparity.cols);
     Rows rows(disparity.cols, p);
     for (int y = y0; y < y1; ++y) {
-      find_steps(disparity[y], disparity.cols, static_cast<float>(p.min_step), changes, steps);
+      float* const d = disparity[y];
+      uint8_t* const changed = corrected[y];
+      std::fill_n(changed, disparity.cols, uint8_t{0});
+      const auto set = [&](int begin, int end, float value) {
+        for (int x = begin; x < end; ++x) {
+          changed[x] = d[x] != value ? 255 : 0;
+          d[x] = value;
+        }
+      };
+      find_steps(d, disparity.cols, static_cast<float>(p.min_step), changes, steps);
       if (!steps.empty()) rows.move_to(left, right, y);
       for (size_t i = 0; i < steps.size(); ++i) {
         // Borders do not pass each other.
         const int low = i == 0 ? 1 : (steps[i - 1].x + steps[i].x + 1) / 2;
         const int high = i + 1 == steps.size() ? disparity.cols - 1 : (steps[i].x + steps[i + 1].x) / 2;
         const int x = rows.place(steps[i], std::min(low, steps[i].x), std::max(high, steps[i].x));
-        std::fill(out[y] + std::min(x, steps[i].x), out[y] + steps[i].x, steps[i].after);
-        std::fill(out[y] + steps[i].x, out[y] + std::max(x, steps[i].x), steps[i].before);
+        set(x, steps[i].x, steps[i].after);
+        set(steps[i].x, x, steps[i].before);
       }
     }
   });
-  return out;
 }
 
 }  // namespace iris::stereo

@@ -20,14 +20,15 @@ struct BorderParameters {
   int cap = 10;      // [grey levels] most that one pixel's difference counts
 };
 
-// Corrected disparities [px], 0 = none. Pixels that a border has passed get the disparity of their new side, those that
+// Corrects disparities [px], 0 = none: pixels that a border has passed get the disparity of their new side, those that
 // were invalid as well; all others stay as they are. `left` and `right` are the images as they are compared.
+// `corrected`: 255 where a disparity has changed, else 0.
 //
 // A border is a step between horizontal neighbours; for finding it, invalid pixels take the lower of the valid
 // disparities to their left and right. At a right border of an object both sides are adjacent in the left image. At a
 // left border a strip of the background is hidden from the right camera: both sides are adjacent in the right image,
 // and that is where they are compared.
-cv::Mat1f correct_borders(const cv::Mat1b& left, const cv::Mat1b& right, const cv::Mat1f& disparity,
-                          const BorderParameters& parameters);
+void correct_borders(const cv::Mat1b& left, const cv::Mat1b& right, const BorderParameters& parameters,
+                     cv::Mat1f& disparity, cv::Mat1b& corrected);
 
 }  // namespace iris::stereo

@@ -1,8 +1,12 @@
 #include "correlation.h"
 
+#include <hwy/aligned_allocator.h>
+
 #include <algorithm>
 #include <cstddef>
 #include <cstdlib>
+#include <memory>
+#include <mutex>
 #include <vector>
 
 #include "iris/core/error.h"
@@ -25,7 +29,40 @@ namespace iris::stereo {
 inline constexpr int kMaxLanes = 16;  // 16-bit lanes used at most, twice as many of 8 bits: wider vectors gain nothing
 inline constexpr int kGroup = 8;      // columns after which the search from the right takes part
 
-// Rows of both images, with room beside them, and the rows of the output for rows y0 … y1 - 1.
+// Memory that one block after the other works in.
+class Scratch {
+ public:
+  // Room for `count` values, unknown ones, until restart().
+  template <class T>
+  T* take(size_t count) {
+    if (used_ == parts_.size()) parts_.emplace_back();
+    Part& part = parts_[used_++];
+    if (part.size < count * sizeof(T)) {
+      part.size = count * sizeof(T);
+      part.bytes = hwy::AllocateAligned<uint8_t>(part.size);
+    }
+    return reinterpret_cast<T*>(part.bytes.get());
+  }
+  template <class T>
+  T* take_filled(size_t count, T value) {
+    T* const values = take<T>(count);
+    std::fill_n(values, count, value);
+    return values;
+  }
+  void restart() { used_ = 0; }
+
+  Correlation rows;
+
+ private:
+  struct Part {
+    size_t size = 0;
+    hwy::AlignedFreeUniquePtr<uint8_t[]> bytes;
+  };
+  std::vector<Part> parts_;
+  size_t used_ = 0;
+};
+
+// Rows of both images, with room beside them, and where the output for the rows y0 … y1 - 1 goes.
 struct CorrelationBlock {
   const MatchImage* left;
   const uint8_t* right;  // pixel (0, 0); mirrored: x grows towards lower addresses
@@ -37,7 +74,8 @@ struct CorrelationBlock {
   CorrelationParameters parameters;
   int tile;  // columns worked on together, a multiple of kGroup
   int y0, y1;
-  Correlation* out;
+  Correlation* out;  // y1 - y0 rows
+  Scratch* scratch;
 };
 
 }  // namespace iris::stereo
@@ -45,8 +83,7 @@ struct CorrelationBlock {
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "../src/stereo/correlation.cpp"  // seen from include/
-#include <hwy/aligned_allocator.h>
-#include <hwy/foreach_target.h>  // IWYU pragma: keep
+#include <hwy/foreach_target.h>                             // IWYU pragma: keep
 #include <hwy/highway.h>
 
 HWY_BEFORE_NAMESPACE();
@@ -153,20 +190,37 @@ using TagOf = typename LanesOf<T>::Tag;
 template <class T>
 inline constexpr T kNothing = static_cast<T>(-1);  // window or cost of what does not exist
 
-template <class D>
-HWY_INLINE hn::TFromD<D> lowest_lane(D d, hn::Vec<D> v) {
-#if !HWY_HAVE_SCALABLE && HWY_TARGET != HWY_SCALAR
-  if constexpr (hn::MaxLanes(D()) * sizeof(hn::TFromD<D>) > 16) {
-    const hn::Half<D> half;
-    return lowest_lane(half, hn::Min(hn::LowerHalf(half, v), hn::UpperHalf(half, v)));
-  } else if constexpr (sizeof(hn::TFromD<D>) == 1) {
-    const hn::Repartition<uint16_t, D> d16;
-    const auto pairs = hn::BitCast(d16, v);
-    const auto lower = hn::Min(hn::And(pairs, hn::Set(d16, uint16_t{255})), hn::ShiftRight<8>(pairs));
-    return static_cast<uint8_t>(lowest_lane(d16, lower));
-  } else
+// The lowest lanes of kGroup vectors, in pairs of pairs so that each step halves what remains. destroys `v`.
+HWY_INLINE void lowest_lanes(Vec16* v, uint16_t* HWY_RESTRICT out) {
+#if HWY_TARGET == HWY_SCALAR
+  for (int i = 0; i < kGroup; ++i) out[i] = hn::GetLane(v[i]);
+#else
+  const Tag16 d16;
+  const hn::Repartition<uint64_t, Tag16> d64;
+  constexpr bool kTwoBlocks = hn::MaxLanes(Tag16()) > 8;
+  int n = kGroup;
+  if constexpr (kTwoBlocks) {  // pixels i and i + n in the two halves
+    n /= 2;
+    for (int i = 0; i < n; ++i) {
+      v[i] = hn::Min(hn::ConcatLowerLower(d16, v[i + n], v[i]), hn::ConcatUpperUpper(d16, v[i + n], v[i]));
+    }
+  }
+  for (int i = 0; i < n; i += 2) {
+    const auto a = hn::BitCast(d64, v[i]), b = hn::BitCast(d64, v[i + 1]);
+    auto low =
+        hn::Min(hn::BitCast(d16, hn::InterleaveLower(d64, a, b)), hn::BitCast(d16, hn::InterleaveUpper(d64, a, b)));
+    low = hn::Min(low, hn::BitCast(d16, hn::ShiftRight<32>(hn::BitCast(d64, low))));
+    low = hn::Min(low, hn::BitCast(d16, hn::ShiftRight<16>(hn::BitCast(d64, low))));
+    alignas(2 * kMaxLanes) uint64_t pixels[kMaxLanes / 4];
+    hn::Store(hn::BitCast(d64, low), d64, pixels);
+    out[i] = static_cast<uint16_t>(pixels[0]);
+    out[i + 1] = static_cast<uint16_t>(pixels[1]);
+    if constexpr (kTwoBlocks) {
+      out[i + n] = static_cast<uint16_t>(pixels[2]);
+      out[i + 1 + n] = static_cast<uint16_t>(pixels[3]);
+    }
+  }
 #endif
-    return hn::GetLane(hn::MinOfLanes(d, v));
 }
 
 // What remains of the costs of one pixel: for each lane the lowest two and the candidate of the lowest.
@@ -226,55 +280,65 @@ class Combination {
   Vector best_, second_, best_d_, d_, step_;
 };
 
-// The lowest cost of a pixel and the smallest candidate that has it; candidate 0 if there is none.
-template <class T>
-struct Winner {
-  T cost, d;
-};
-HWY_INLINE Winner<uint16_t> find_winner(const Lowest<uint16_t>& lowest) {
+// Of kGroup pixels: the lowest costs and the smallest candidates that have them; any if there is none.
+HWY_INLINE void find_winners(const Lowest<uint16_t>* lowest, uint16_t* HWY_RESTRICT cost,
+                             uint16_t* HWY_RESTRICT winner) {
   const Tag16 d;
-  const auto best = hn::Load(d, lowest.best), none = hn::Set(d, kNothing<uint16_t>);
-  const uint16_t cost = lowest_lane(d, best);
-  const auto candidates = hn::IfThenElse(hn::Eq(best, hn::Set(d, cost)), hn::Load(d, lowest.best_d), none);
-  return {cost, cost == kNothing<uint16_t> ? uint16_t{0} : lowest_lane(d, candidates)};
-}
-#if HWY_TARGET != HWY_SCALAR
-HWY_INLINE Winner<uint8_t> find_winner(const Lowest<uint8_t>& lowest) {
-  const Tag8 d;
-  const Tag16 d16;
-  const auto best = hn::Load(d, lowest.best), best_d = hn::Load(d, lowest.best_d);
-  const auto lower_half = hn::BitCast(d16, hn::InterleaveLower(d, best_d, best));
-  const auto upper_half = hn::BitCast(d16, hn::InterleaveUpper(d, best_d, best));
-  const uint16_t both = lowest_lane(d16, hn::Min(lower_half, upper_half));
-  const uint8_t cost = static_cast<uint8_t>(both >> 8);
-  return {cost, static_cast<uint8_t>(cost == kNothing<uint8_t> ? 0 : both)};
-}
-#endif
-
-// The second minimum (3.4). The winner and its neighbours are in different lanes: in each of the three, it is the
-// second lowest cost that counts if the lowest is that of the winner or its neighbour.
-template <class T>
-HWY_INLINE T find_second(const Lowest<T>& lowest, T winner, const T* cost, int end) {
-  const TagOf<T> d;
-  if (hn::Lanes(d) < 3) {
-    T second = kNothing<T>;
-    for (int i = 0; i < end; ++i) {
-      if (std::abs(i - winner) > 1) second = std::min(second, cost[i]);
-    }
-    return second;
+  const auto none = hn::Set(d, kNothing<uint16_t>);
+  Vec16 v[kGroup];
+  for (int i = 0; i < kGroup; ++i) v[i] = hn::Load(d, lowest[i].best);
+  lowest_lanes(v, cost);
+  for (int i = 0; i < kGroup; ++i) {
+    const auto wins = hn::Eq(hn::Load(d, lowest[i].best), hn::Set(d, cost[i]));
+    v[i] = hn::IfThenElse(wins, hn::Load(d, lowest[i].best_d), none);
   }
+  lowest_lanes(v, winner);
+}
+
+// The same of second minima (3.4). The winner and its neighbours are in different lanes: in each of the three, it is
+// the second lowest cost that counts if the lowest is that of the winner or its neighbour.
+template <class T>
+HWY_INLINE hn::Vec<TagOf<T>> rivals(const Lowest<T>& lowest, T winner) {
+  const TagOf<T> d;
   const auto best_d = hn::Load(d, lowest.best_d), winners = hn::Set(d, winner);
   const auto away = hn::Sub(hn::Max(best_d, winners), hn::Min(best_d, winners));
   const auto near = hn::Eq(hn::Min(away, hn::Set(d, T{1})), away);
-  return lowest_lane(d, hn::IfThenElse(near, hn::Load(d, lowest.second), hn::Load(d, lowest.best)));
+  return hn::IfThenElse(near, hn::Load(d, lowest.second), hn::Load(d, lowest.best));
+}
+HWY_INLINE void find_seconds(const Lowest<uint16_t>* lowest, const uint16_t* winner, uint16_t* HWY_RESTRICT second) {
+  Vec16 v[kGroup];
+  for (int i = 0; i < kGroup; ++i) v[i] = rivals(lowest[i], winner[i]);
+  lowest_lanes(v, second);
 }
 
-// As 16-bit numbers.
-using TagOut = hn::CappedTag<uint16_t, kGroup>;
-HWY_INLINE hn::Vec<TagOut> load_wide(const uint16_t* values) { return hn::LoadU(TagOut(), values); }
-HWY_INLINE hn::Vec<TagOut> load_wide(const uint8_t* values) {
-  return hn::PromoteTo(TagOut(), hn::LoadU(hn::Rebind<uint8_t, TagOut>(), values));
+#if HWY_TARGET != HWY_SCALAR
+HWY_INLINE void find_winners(const Lowest<uint8_t>* lowest, uint16_t* HWY_RESTRICT cost,
+                             uint16_t* HWY_RESTRICT winner) {
+  const Tag8 d;
+  const Tag16 d16;
+  Vec16 v[kGroup];
+  for (int i = 0; i < kGroup; ++i) {  // both in one number
+    const auto best = hn::Load(d, lowest[i].best), best_d = hn::Load(d, lowest[i].best_d);
+    v[i] = hn::Min(hn::BitCast(d16, hn::InterleaveLower(d, best_d, best)),
+                   hn::BitCast(d16, hn::InterleaveUpper(d, best_d, best)));
+  }
+  lowest_lanes(v, winner);
+  for (int i = 0; i < kGroup; ++i) {
+    cost[i] = winner[i] >> 8;
+    winner[i] &= 255;
+  }
 }
+HWY_INLINE void find_seconds(const Lowest<uint8_t>* lowest, const uint16_t* winner, uint16_t* HWY_RESTRICT second) {
+  const Tag16 d16;
+  const auto low_byte = hn::Set(d16, uint16_t{255});
+  Vec16 v[kGroup];
+  for (int i = 0; i < kGroup; ++i) {
+    const auto pairs = hn::BitCast(d16, rivals(lowest[i], static_cast<uint8_t>(winner[i])));
+    v[i] = hn::Min(hn::And(pairs, low_byte), hn::ShiftRight<8>(pairs));
+  }
+  lowest_lanes(v, second);
+}
+#endif
 
 // The rows of the output.
 struct OutputRows {
@@ -283,28 +347,35 @@ struct OutputRows {
 
 // The pixels x … x + n - 1 of a group.
 template <class T>
-HWY_INLINE void select(const Lowest<T>* lowest, const T* costs, ptrdiff_t cost_stride, int end, int x, int n,
+HWY_INLINE void select(const Lowest<T>* lowest, const T* costs, ptrdiff_t cost_stride, int x, int n,
                        const OutputRows& to) {
-  const TagOut d16;
-  T winner[kGroup], cost[kGroup], second[kGroup], before[kGroup], after[kGroup];
-  for (int i = 0; i < kGroup; ++i) {
-    const Winner<T> found = find_winner(lowest[i]);
-    winner[i] = found.d;
-    cost[i] = found.cost;
-  }
-  for (int i = 0; i < kGroup; ++i) {
-    const T* const of_pixel = costs + cost_stride * i;
-    second[i] = find_second(lowest[i], winner[i], of_pixel, end);
-    before[i] = of_pixel[winner[i] - 1];
-    after[i] = of_pixel[winner[i] + 1];
-  }
-  const auto write = [&](const T* value, const T* known, uint16_t* out) {
-    uint16_t wide[kGroup];
-    for (int i = 0; i < kGroup; i += static_cast<int>(hn::Lanes(d16))) {
-      const auto exists = hn::Ne(load_wide(known + i), hn::Set(d16, uint16_t{kNothing<T>}));
-      hn::StoreU(hn::IfThenElse(exists, load_wide(value + i), hn::Set(d16, Correlation::kNone)), d16, wide + i);
+  const hn::CappedTag<uint16_t, kGroup> d;
+  uint16_t winner[kGroup], cost[kGroup], second[kGroup], before[kGroup], after[kGroup];
+  find_winners(lowest, cost, winner);
+  for (int i = 0; i < kGroup; ++i) winner[i] = cost[i] == kNothing<T> ? 0 : winner[i];
+  if (hn::Lanes(Tag16()) < 3) {
+    for (int i = 0; i < n; ++i) {
+      second[i] = kNothing<T>;
+      for (int k = 0; k < cost_stride - 4 * kMaxLanes; ++k) {
+        if (std::abs(k - winner[i]) > 1) second[i] = std::min<uint16_t>(second[i], costs[cost_stride * i + k]);
+      }
     }
-    std::copy_n(wide, n, out + x);
+  } else {
+    find_seconds(lowest, winner, second);
+  }
+  for (int i = 0; i < kGroup; ++i) {
+    const T* const at_winner = costs + cost_stride * i + winner[i];
+    before[i] = at_winner[-1];
+    after[i] = at_winner[1];
+  }
+  const auto write = [&](const uint16_t* value, const uint16_t* known, uint16_t* out) HWY_ATTR {
+    uint16_t wide[kGroup];
+    uint16_t* const at = n == kGroup ? out + x : wide;
+    for (int i = 0; i < kGroup; i += static_cast<int>(hn::Lanes(d))) {
+      const auto exists = hn::Ne(hn::LoadU(d, known + i), hn::Set(d, uint16_t{kNothing<T>}));
+      hn::StoreU(hn::IfThenElse(exists, hn::LoadU(d, value + i), hn::Set(d, Correlation::kNone)), d, at + i);
+    }
+    if (n < kGroup) std::copy_n(wide, n, out + x);
   };
   write(winner, cost, to.winner);
   write(cost, cost, to.cost);
@@ -329,6 +400,36 @@ HWY_INLINE void search_right(const T* cost, ptrdiff_t cost_stride, int x, int en
     }
     hn::StoreU(b, d, best + i);
     hn::StoreU(bx, d, best_x + i);
+  }
+}
+
+// As many values as a vector of 16-bit numbers holds.
+HWY_INLINE Vec16 load_wide(const uint16_t* values) { return hn::LoadU(Tag16(), values); }
+HWY_INLINE Vec16 load_wide(const uint8_t* values) {
+  return hn::PromoteTo(Tag16(), hn::LoadU(hn::Rebind<uint8_t, Tag16>(), values));
+}
+
+// The winners of a row of the right image. best, best_x: as in search_right, pixel x at index -x.
+template <class T>
+void store_right(const T* best, const T* best_x, int width, int min_disparity, uint16_t* HWY_RESTRICT out) {
+  const Tag16 d;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  const auto mask = hn::Set(d, uint16_t{kNothing<T>}), none = hn::Set(d, Correlation::kNone);
+  for (int x = 0; x < width; x += lanes) {
+    const int at = std::min(x, std::max(0, width - lanes));  // the last vector overlaps the one before it
+    const ptrdiff_t last = -(at + lanes - 1);
+    const auto of_pixel =
+        hn::Add(hn::Iota(d, static_cast<uint16_t>(at)), hn::Set(d, static_cast<uint16_t>(min_disparity)));
+    const auto found = hn::Sub(hn::Reverse(d, load_wide(best_x + last)), of_pixel);
+    const auto exists = hn::Ne(hn::Reverse(d, load_wide(best + last)), mask);
+    const auto winner = hn::IfThenElse(exists, hn::And(found, mask), none);
+    if (at + lanes <= width) {
+      hn::StoreU(winner, d, out + at);
+    } else {
+      uint16_t narrow[kMaxLanes];
+      hn::StoreU(winner, d, narrow);
+      std::copy_n(narrow, width, out);
+    }
   }
 }
 
@@ -402,8 +503,8 @@ HWY_INLINE void move_sums(const Column<uint8_t>& c, Vec8 in, Vec8 out, int d, co
 
 #endif
 
-// The sums of a column become those of the next row; of the contributions, those count whose bits in the mask are set.
-// If kWindows, the window moves on to this column; its sums go to next(sums, candidate) as well.
+// The sums of a column become those of the next row; contributions are what `masked` leaves of them. If kWindows, the
+// window moves on to this column; its sums go to next(sums, candidate) as well. Else nothing leaves the column.
 template <bool kWindows, class Cost, class T, class Mask, class Next>
 HWY_INLINE void move_column(const Cost& cost, const Column<T>& c, int end, const Mask& masked, const Next& next) {
   const Tag8 d8;
@@ -411,7 +512,7 @@ HWY_INLINE void move_column(const Cost& cost, const Column<T>& c, int end, const
     const auto in = masked(cost.at(c.right + d), d);
     const auto out = hn::Load(d8, c.pixel + d);
     hn::Store(in, d8, c.pixel + d);
-    move_sums<kWindows>(c, in, out, d, next);
+    move_sums<kWindows>(c, in, kWindows ? out : hn::Zero(d8), d, next);
   }
 }
 
@@ -428,25 +529,35 @@ void correlate_rows(const CorrelationBlock& block) {
   const ptrdiff_t window_ring = stride * n_windows, pixel_ring = stride * n_columns;
   constexpr int kBeside = 2 * kMaxLanes;  // what vectors may reach beyond either end of a row of costs
   const ptrdiff_t cost_stride = stride + 2 * kBeside;
-  const auto pixels = hwy::AllocateAligned<uint8_t>(pixel_ring * ring);
-  const auto columns_store = hwy::AllocateAligned<T>(stride * (n_columns + 2 * rx + 1));
-  T* const columns = columns_store.get() + stride * (2 * rx + 1);  // zeros before it
-  const auto windows = hwy::AllocateAligned<T>(window_ring * ring);
-  const auto unused = hwy::AllocateAligned<T>(stride);  // windows that nobody asks for
-  const auto running = hwy::AllocateAligned<uint16_t>(stride);
-  const auto costs_store = hwy::AllocateAligned<T>(cost_stride * (kGroup + 1));
-  T* const costs = costs_store.get() + kBeside;
-  std::fill_n(costs_store.get(), cost_stride * (kGroup + 1), kNothing<T>);
+  Scratch& scratch = *block.scratch;
+  uint8_t* const pixels = scratch.take<uint8_t>(pixel_ring * ring);
+  const ptrdiff_t columns_size = stride * (n_columns + 2 * rx + 1);
+  T* const columns_store = scratch.take<T>(columns_size);
+  T* const columns = columns_store + stride * (2 * rx + 1);  // zeros before it
+  T* const windows = scratch.take<T>(window_ring * ring);
+  T* const unused = scratch.take<T>(stride);  // windows that nobody asks for
+  uint16_t* const running = scratch.take<uint16_t>(stride);
+  T* const costs = scratch.take_filled(cost_stride * (kGroup + 1), kNothing<T>) + kBeside;
   // Masks: all bits set from index stride to 2 stride; nothing from index `disparities`.
-  std::vector<uint8_t> mask(3 * stride + lanes8, 0);
-  std::fill(mask.begin() + stride, mask.begin() + 2 * stride, uint8_t{255});
-  std::vector<T> no_candidate(stride, 0);
-  std::fill(no_candidate.begin() + p.disparities, no_candidate.end(), kNothing<T>);
+  uint8_t* const mask = scratch.take_filled(3 * stride + lanes8, uint8_t{0});
+  std::fill_n(mask + stride, stride, uint8_t{255});
+  T* const no_candidate = scratch.take_filled(stride, T{0});
+  std::fill(no_candidate + p.disparities, no_candidate + stride, kNothing<T>);
+  // Nothing outside of the indices stride to 2 stride, 0 in them.
+  T* const no_window = scratch.take_filled(3 * stride + lanes, kNothing<T>);
+  std::fill_n(no_window + stride, stride, T{0});
+  // Window's width / columns inside, in units of 2^-kEnlargeBits and rounded up: products with sums of 16 bits are
+  // exact when truncated, since no fraction is closer to 1 than 1 / columns.
+  constexpr int kEnlargeBits = 40;
+  uint64_t* const enlarge = scratch.take<uint64_t>(p.window_width + 1);
+  for (int i = 1; i <= p.window_width; ++i) {
+    enlarge[i] = ((uint64_t{1} << kEnlargeBits) * p.window_width + i - 1) / i;
+  }
   // State of the search from the right, for every row of the block. Mirrored: pixel x has index right_origin - x.
   const int right_origin = block.width + std::abs(p.min_disparity) + kBeside;
   const ptrdiff_t right_stride = right_origin + std::abs(p.min_disparity) + stride + kBeside;
-  const size_t right_size = static_cast<size_t>(right_stride) * (block.y1 - block.y0);
-  std::vector<T> right_best(right_size, kNothing<T>), right_x(right_size);
+  T* const right_best = scratch.take_filled(right_stride * (block.y1 - block.y0), kNothing<T>);
+  T* const right_x = scratch.take_filled(right_stride * (block.y1 - block.y0), T{0});
 
   // Candidates first … last have a partner for column x of the image. Others are beyond either side.
   const auto first_candidate = [&](int x) {
@@ -454,29 +565,34 @@ void correlate_rows(const CorrelationBlock& block) {
   };
   const auto last_candidate = [&](int x) { return std::clamp(x - p.min_disparity, -1, p.disparities - 1); };
   // All candidates of the columns up to x are before this one.
-  std::vector<int> candidates_end(block.width + 2 * rx + block.tile);
-  for (int x = 0; x < static_cast<int>(candidates_end.size()); ++x) {
+  const int n_ends = block.width + 2 * rx + block.tile;
+  int* const candidates_end = scratch.take<int>(n_ends);
+  for (int x = 0; x < n_ends; ++x) {
     candidates_end[x] = (last_candidate(std::min(x, block.width - 1)) + lanes8) / lanes8 * lanes8;
   }
-  std::vector<int> slot(block.height + 2 * ry);  // of row - ry in the rings
-  for (int i = 0; i < static_cast<int>(slot.size()); ++i) slot[i] = i % ring;
+  int* const slot = scratch.take<int>(block.height + 2 * ry);  // of row - ry in the rings
+  for (int i = 0; i < block.height + 2 * ry; ++i) slot[i] = i % ring;
   Lowest<T> lowest[kGroup] = {};
 
   for (int x0 = 0; x0 < block.width; x0 += block.tile) {
     const int x1 = std::min(x0 + block.tile, block.width);
     const int x_columns = x0 - 2 * rx, x_windows = x0 - rx;  // image column of index 0
-    std::fill_n(pixels.get(), pixel_ring * ring, uint8_t{0});
-    std::fill_n(columns_store.get(), stride * (n_columns + 2 * rx + 1), T{0});
-    std::fill_n(windows.get(), window_ring * ring, kNothing<T>);
+    std::fill_n(columns_store, columns_size, T{0});
+    for (int i = 0; i < ring; ++i) {  // beyond the sides of the image there are no windows
+      T* const row = windows + window_ring * i;
+      std::fill_n(row, stride * std::clamp(-x_windows, 0, n_windows), kNothing<T>);
+      const int outside = std::clamp(block.width - x_windows, 0, n_windows);
+      std::fill(row + stride * outside, row + window_ring, kNothing<T>);
+    }
 
     // Column x_columns of the windows that end at image row `row`.
     const auto first_column = [&](int row) -> Column<T> {
       const int inside = std::clamp(row, 0, block.height - 1);
       return {.right = block.right + block.right_stride * inside - (x_columns - p.min_disparity),
-              .pixel = pixels.get() + pixel_ring * slot[row + ry],
+              .pixel = pixels + pixel_ring * slot[row + ry],
               .sums = columns,
               .leaves = columns - stride * (2 * rx + 1),
-              .running = running.get(),
+              .running = running,
               .window = nullptr,
               .shift = p.shift};
     };
@@ -494,23 +610,33 @@ void correlate_rows(const CorrelationBlock& block) {
       return typename Cost::Row(*block.left, std::clamp(row, 0, block.height - 1), block.right_plane, p.cap);
     };
     const auto all = [](Vec8 in, int) HWY_ATTR { return in; };
+    const auto ignore = [](auto, int) {};
     const auto move = [&]<bool kWindows>(const typename Cost::Row& left, const Column<T>& first, int x,
                                          T* window) HWY_ATTR {
-      const uint8_t* const from_first = mask.data() + stride - first_candidate(x);
-      const uint8_t* const to_last = mask.data() + 2 * stride - (last_candidate(x) + 1);
+      const uint8_t* const from_first = mask + stride - first_candidate(x);
+      const uint8_t* const to_last = mask + 2 * stride - (last_candidate(x) + 1);
       const auto existing = [&](Vec8 in, int d) HWY_ATTR {
         return hn::And(in, hn::And(hn::LoadU(d8, from_first + d), hn::LoadU(d8, to_last + d)));
       };
-      const auto ignore = [](auto, int) {};
       move_column<kWindows>(Cost(left, x), column_at(first, x, window), candidates_end[x], existing, ignore);
     };
+
+    // Where all candidates of a window's last column exist, and the window is kept and not cut.
+    const int whole_begin = std::max({x0, 2 * rx, 2 * rx + p.min_disparity + p.disparities - 1});
+    const int whole_end = block.width + std::min(0, p.min_disparity);
 
     // Sums over the windows of row y that end at column x_end.
     const auto window_column = [&](const typename Cost::Row& left, const Column<T>& first_of_row, int y,
                                    int x_end) HWY_ATTR {
       const int x = x_end - rx;
+      T* const kept = windows + window_ring * slot[y + ry] + stride * (x - x_windows);
+      if (x_end >= whole_begin && x_end < whole_end) {
+        move_column<true>(Cost(left, x_end), column_at(first_of_row, x_end, kept), static_cast<int>(stride), all,
+                          ignore);
+        return;
+      }
       const bool wanted = x >= x_windows && x >= 0 && x < block.width;
-      T* const window = wanted ? windows.get() + window_ring * slot[y + ry] + stride * (x - x_windows) : unused.get();
+      T* const window = wanted ? kept : unused;
       const int end = candidates_end[x_end];
       if (x_end >= block.width) {
         const Column<T> column = column_at(first_of_row, x_end, window);
@@ -520,30 +646,31 @@ void correlate_rows(const CorrelationBlock& block) {
       }
       if (!wanted) return;
       const int first = first_candidate(x), last = last_candidate(x);
+      for (int d = 0; d < end; d += lanes) {
+        const auto before = hn::LoadU(tag, no_window + stride - first + d);
+        const auto behind = hn::LoadU(tag, no_window + 2 * stride - (last + 1) + d);
+        hn::Store(hn::Or(hn::Load(tag, window + d), hn::Or(before, behind)), tag, window + d);
+      }
       const auto scale = [&](int d) {  // a cut window
         const int a = std::max(0, p.min_disparity + d);
         const int b = std::min(block.width - 1, block.width - 1 + p.min_disparity + d);
         const int visible = std::min(x + rx, b) - std::max(x - rx, a) + 1;
         const int at = sizeof(T) == 2 ? d : d / lanes * lanes + d % 2 * (lanes / 2) + d % lanes / 2;
-        // Truncation is exact: the dividend has less than 24 bits, and no fraction is close enough to 1 to be rounded
-        // up.
-        const float sum = static_cast<float>(running[at] * p.window_width);
-        window[d] = static_cast<T>(static_cast<int>(sum / static_cast<float>(visible)) >> p.shift);
+        window[d] = static_cast<T>((running[at] * enlarge[visible]) >> kEnlargeBits >> p.shift);
       };
       // Not cut: those that have a partner for both ends of the window.
       const bool inside = x >= rx && x + rx < block.width;
-      const int whole_begin = inside ? std::clamp(first_candidate(x + rx), first, last + 1) : last + 1;
-      const int whole_end = inside ? std::clamp(last_candidate(x - rx) + 1, whole_begin, last + 1) : last + 1;
-      for (int d = first; d < whole_begin; ++d) scale(d);
-      for (int d = whole_end; d <= last; ++d) scale(d);
-      std::fill(window, window + std::min(first, end), kNothing<T>);
-      if (last + 1 < end) std::fill(window + last + 1, window + end, kNothing<T>);
+      const int cut_end = inside ? std::clamp(first_candidate(x + rx), first, last + 1) : last + 1;
+      const int cut_begin = inside ? std::clamp(last_candidate(x - rx) + 1, cut_end, last + 1) : last + 1;
+      for (int d = first; d < cut_end; ++d) scale(d);
+      for (int d = cut_begin; d <= last; ++d) scale(d);
     };
 
     const auto window_row = [&](int row) {
-      return windows.get() + window_ring * slot[std::clamp(row, 0, block.height - 1) + ry];
+      return windows + window_ring * slot[std::clamp(row, 0, block.height - 1) + ry];
     };
     const int first_row = std::max(0, block.y0 - ry);
+    std::fill_n(pixels + pixel_ring * slot[first_row + 2 * ry], pixel_ring, uint8_t{0});  // leave the first windows
     for (int row = first_row - ry; row < first_row + ry; ++row) {
       const typename Cost::Row left = left_row(row);
       const Column<T> first = first_column(row);
@@ -551,15 +678,12 @@ void correlate_rows(const CorrelationBlock& block) {
         move.template operator()<false>(left, first, x, nullptr);
       }
     }
-    // Where all candidates of a window's last column exist, and the window is kept and not cut.
-    const int whole_begin = std::max({x0, 2 * rx, 2 * rx + p.min_disparity + p.disparities - 1});
-    const int whole_end = block.width + std::min(0, p.min_disparity);
     for (int y_windows = first_row; y_windows < block.y1 + ry; ++y_windows) {
       const int y = y_windows - ry;
       const bool has_windows = y_windows < block.height;
       const typename Cost::Row left = left_row(y_windows + ry);
       const Column<T> first = first_column(std::min(y_windows, block.height - 1) + ry);
-      std::fill_n(running.get(), stride, uint16_t{0});
+      std::fill_n(running, stride, uint16_t{0});
       if (y < block.y0) {
         for (int x_end = std::max(0, x_columns); x_end < x1 + 2 * rx; ++x_end) {
           window_column(left, first, y_windows, x_end);
@@ -576,8 +700,9 @@ void correlate_rows(const CorrelationBlock& block) {
                                  .upper_left = window_row(y - ry),
                                  .upper_right = window_row(y - ry) + 2 * rx * stride,
                                  .lower_left = window_row(y + ry)};
-      const OutputRows out = {block.out->winner[y], block.out->cost[y], block.out->second[y], block.out->before[y],
-                              block.out->after[y]};
+      Correlation& rows = *block.out;
+      const int row = y - block.y0;
+      const OutputRows out = {rows.winner[row], rows.cost[row], rows.second[row], rows.before[row], rows.after[row]};
       for (int group = x0; group < x1; group += kGroup) {
         const int group_end = std::min(group + kGroup, x1);
         for (int x = group; x < group_end; ++x) {
@@ -588,37 +713,31 @@ void correlate_rows(const CorrelationBlock& block) {
           if (has_windows && x_end >= whole_begin && x_end < whole_end) {
             const Column<T> column = column_at(first, x_end, lower_right + at);
             const auto combine = [&](auto window, int d) HWY_ATTR {
-              combination.add(around, window, at + d, hn::LoadU(tag, no_candidate.data() + d), cost + d);
+              combination.add(around, window, at + d, hn::LoadU(tag, no_candidate + d), cost + d);
             };
             move_column<true>(Cost(left, x_end), column, static_cast<int>(stride), all, combine);
           } else {
             if (has_windows) window_column(left, first, y_windows, x_end);
             const int end = candidates_end[x];
             for (int d = 0; d < end; d += lanes) {
-              combination.add(around, hn::Load(tag, lower_right + at + d), at + d,
-                              hn::LoadU(tag, no_candidate.data() + d), cost + d);
+              combination.add(around, hn::Load(tag, lower_right + at + d), at + d, hn::LoadU(tag, no_candidate + d),
+                              cost + d);
             }
             std::fill(cost + end, cost + stride, kNothing<T>);
           }
           combination.store(&lowest[x - group]);
         }
         for (int i = group_end - group; i < kGroup; ++i) std::fill_n(costs + cost_stride * i, stride, kNothing<T>);
+        select(lowest, costs, cost_stride, group, group_end - group, out);
         const int end = candidates_end[group_end - 1];
-        select(lowest, costs, cost_stride, end, group, group_end - group, out);
         const ptrdiff_t at = right_stride * (y - block.y0) + right_origin - group + p.min_disparity;
         search_right(costs, cost_stride, group, end, &right_best[at], &right_x[at]);
       }
     }
   }
-  for (int y = block.y0; y < block.y1; ++y) {
-    const ptrdiff_t at = right_stride * (y - block.y0) + right_origin;
-    const T* const best = &right_best[at];
-    const T* const of_best = &right_x[at];
-    uint16_t* const to = block.out->right_winner[y];
-    for (int x = 0; x < block.width; ++x) {
-      const T d = static_cast<T>(of_best[-x] - x - p.min_disparity);
-      to[x] = best[-x] == kNothing<T> ? Correlation::kNone : d;
-    }
+  for (int row = 0; row < block.y1 - block.y0; ++row) {
+    const ptrdiff_t at = right_stride * row + right_origin;
+    store_right(right_best + at, right_x + at, block.width, p.min_disparity, block.out->right_winner[row]);
   }
 }
 
@@ -668,6 +787,9 @@ struct Mirrored {
   }
 };
 
+constexpr cv::Mat1w Correlation::*kImages[] = {&Correlation::winner, &Correlation::cost,  &Correlation::second,
+                                               &Correlation::before, &Correlation::after, &Correlation::right_winner};
+
 // Whether 8 bits suffice for sums over a column, divided sums over a window and costs.
 bool fits_bytes(const CorrelationParameters& p) {
   return p.window_height * p.cap <= 255 && p.shift <= 8 &&
@@ -688,7 +810,8 @@ int shift_for_bytes(int window_width, int window_height, int cap) {
   return shift;
 }
 
-Correlation correlate(const MatchImage& left, const MatchImage& right, const CorrelationParameters& p) {
+void correlate(const MatchImage& left, const MatchImage& right, const CorrelationParameters& p,
+               const CorrelationSink& next) {
   const cv::Size size = left.grey.size();
   const bool census = !left.census[0].empty();
   IRIS_CHECK(!left.grey.empty() && right.grey.size() == size);
@@ -698,7 +821,9 @@ Correlation correlate(const MatchImage& left, const MatchImage& right, const Cor
   }
   IRIS_CHECK(p.disparities > 0 && p.window_width % 2 == 1 && p.window_height % 2 == 1);
   IRIS_CHECK(p.cap >= 0 && p.cap <= largest_cap(p.window_width, p.window_height, census));
-  constexpr int kRowsPerBlock = 64;
+  constexpr int kRowsPerBlock = 64;  // at most; an even number of blocks of equal height occupies two threads best
+  const int blocks = 2 * ((size.height + 2 * kRowsPerBlock - 1) / (2 * kRowsPerBlock));
+  const int rows_per_block = (size.height + blocks - 1) / blocks;
   constexpr int kCacheBytes = 480 << 10;  // of the windows and pixels, the largest part of what a tile needs
 
   const bool bytes = fits_bytes(p) && !census && p.disparities <= 256;
@@ -708,11 +833,20 @@ Correlation correlate(const MatchImage& left, const MatchImage& right, const Cor
 
   const Mirrored mirrored_right(right, std::max(0, -p.min_disparity),
                                 std::max(0, p.min_disparity) + p.disparities + 4 * kMaxLanes);
-  Correlation out;
-  for (cv::Mat1w* image : {&out.winner, &out.cost, &out.second, &out.before, &out.after, &out.right_winner}) {
-    image->create(size);
-  }
-  parallel_chunks(0, size.height, kRowsPerBlock, [&](int y0, int y1) {
+  // One for each thread at most, whoever it is.
+  std::mutex mutex;
+  std::vector<std::unique_ptr<Scratch>> idle;
+  const auto take_scratch = [&] {
+    const std::lock_guard lock(mutex);
+    if (idle.empty()) return std::make_unique<Scratch>();
+    std::unique_ptr<Scratch> scratch = std::move(idle.back());
+    idle.pop_back();
+    return scratch;
+  };
+  parallel_chunks(0, size.height, rows_per_block, [&](int y0, int y1) {
+    std::unique_ptr<Scratch> scratch = take_scratch();
+    scratch->restart();
+    for (const auto image : kImages) (scratch->rows.*image).create(y1 - y0, size.width);
     const CorrelationBlock block = {.left = &left,
                                     .right = mirrored_right.origin,
                                     .right_stride = mirrored_right.stride,
@@ -725,8 +859,23 @@ Correlation correlate(const MatchImage& left, const MatchImage& right, const Cor
                                     .tile = tile,
                                     .y0 = y0,
                                     .y1 = y1,
-                                    .out = &out};
+                                    .out = &scratch->rows,
+                                    .scratch = scratch.get()};
     HWY_DYNAMIC_DISPATCH(correlate_block)(block);
+    next(y0, scratch->rows);
+    const std::lock_guard lock(mutex);
+    idle.push_back(std::move(scratch));
+  });
+}
+
+Correlation correlate(const MatchImage& left, const MatchImage& right, const CorrelationParameters& parameters) {
+  Correlation out;
+  for (const auto image : kImages) (out.*image).create(left.grey.size());
+  correlate(left, right, parameters, [&](int y0, const Correlation& rows) {
+    for (const auto image : kImages) {
+      const cv::Mat1w& from = rows.*image;
+      from.copyTo((out.*image).rowRange(y0, y0 + from.rows));
+    }
   });
   return out;
 }

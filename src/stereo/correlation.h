@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <opencv2/core.hpp>
 
 #include "census.h"
@@ -51,5 +52,11 @@ struct Correlation {
 // Windows that reach beyond the sides of either image are cut there and their sums scaled to the full area; a window
 // whose centre is outside does not exist. Above and below, the images continue with their border rows.
 Correlation correlate(const MatchImage& left, const MatchImage& right, const CorrelationParameters& parameters);
+
+// The same without images of all: next(y0, rows) gets the rows from y0 on as soon as they are known, from several
+// threads at once, each row one time. It may change them.
+using CorrelationSink = std::function<void(int y0, Correlation& rows)>;
+void correlate(const MatchImage& left, const MatchImage& right, const CorrelationParameters& parameters,
+               const CorrelationSink& next);
 
 }  // namespace iris::stereo

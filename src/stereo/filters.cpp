@@ -17,64 +17,19 @@ constexpr int kRowsPerChunk = 32;
 
 }  // namespace
 
-void reject_ambiguous(const Correlation& correlation, int min_margin, cv::Mat1w& winner) {
-  parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
-    for (int y = y0; y < y1; ++y) {
-      const uint16_t* cost = correlation.cost[y];
-      const uint16_t* second = correlation.second[y];
-      uint16_t* w = winner[y];
-      for (int x = 0; x < winner.cols; ++x) {
-        const bool ambiguous = (second[x] == Correlation::kNone) | (second[x] - cost[x] < min_margin);
-        w[x] = ambiguous ? Correlation::kNone : w[x];
-      }
-    }
-  });
-}
-
-void reject_outermost(int min_disparity, cv::Mat1w& winner) {
-  const int last = winner.cols - 1;
-  for (int y = 0; y < winner.rows; ++y) {
-    uint16_t* w = winner[y];
-    for (int x = 0; x < winner.cols; ++x) {
-      const int partner = x - min_disparity - w[x];
-      const bool outermost = (partner == 0 && x > 0) || (partner == last && x < last);
-      w[x] = outermost ? Correlation::kNone : w[x];
-    }
-  }
-}
-
 void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double tolerance, cv::Mat1w& winner) {
   const int largest = static_cast<int>(std::floor(tolerance));
-  parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
-    for (int y = y0; y < y1; ++y) {
-      const uint16_t* from_right = right_winner[y];
-      uint16_t* w = winner[y];
-      for (int x = 0; x < winner.cols; ++x) {
-        const int partner = w[x] == Correlation::kNone ? 0 : x - min_disparity - w[x];
-        w[x] = std::abs(from_right[partner] - w[x]) > largest ? Correlation::kNone : w[x];
-      }
+  for (int y = 0; y < winner.rows; ++y) {
+    const uint16_t* from_right = right_winner[y];
+    uint16_t* w = winner[y];
+    for (int x = 0; x < winner.cols; ++x) {
+      const int partner = w[x] == Correlation::kNone ? 0 : x - min_disparity - w[x];
+      w[x] = std::abs(from_right[partner] - w[x]) > largest ? Correlation::kNone : w[x];
     }
-  });
+  }
 }
 
 namespace {
-
-void refine_row(const uint16_t* w, const uint16_t* cost, const uint16_t* before, const uint16_t* after, int width,
-                int min_disparity, SubPixel fit, float smallest, float* out) {
-  const bool parabola = fit == SubPixel::parabola, off = fit == SubPixel::off;
-  const int factor = parabola ? 2 : 1;
-  for (int x = 0; x < width; ++x) {
-    // V: the steeper side has the slope of both. Parabola: the mean of both sides' slopes is its curvature.
-    const int here = cost[x], left = before[x], right = after[x];
-    const int highest = left > right ? left : right;
-    const int spread = parabola ? left + right - 2 * here : 2 * (highest - here);
-    const float quotient = static_cast<float>(left - right) / static_cast<float>(factor * (spread > 1 ? spread : 1));
-    const bool inside = !off & (highest != Correlation::kNone) & (spread > 0);
-    const float value = static_cast<float>(w[x] + min_disparity) + (inside ? quotient : 0.0f);
-    const float limited = value < smallest ? smallest : value;
-    out[x] = w[x] == Correlation::kNone ? 0.0f : limited;
-  }
-}
 
 // Compilers turn such loops into vectors: nothing that they read can change while they write, and no floating-point
 // operation depends on a condition.
@@ -88,18 +43,6 @@ void find_joints(const float* __restrict d, int width, float step, uint8_t* __re
 }
 
 }  // namespace
-
-cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, SubPixel fit,
-                 float smallest) {
-  cv::Mat1f disparity(winner.size());
-  parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
-    for (int y = y0; y < y1; ++y) {
-      refine_row(winner[y], correlation.cost[y], correlation.before[y], correlation.after[y], winner.cols,
-                 min_disparity, fit, smallest, disparity[y]);
-    }
-  });
-  return disparity;
-}
 
 namespace {
 
@@ -189,12 +132,14 @@ void equalise(const cv::Mat1w& winner, int min_disparity, cv::Mat1f& disparity) 
   constexpr int kTable = 1024;
   std::array<float, kTable + 2> correction;  // the last one for pixels that stay
   correction.back() = 0;
+  double phase = -0.5;  // of the measured phase before it, where Newton's method starts
   for (int i = 0; i <= kTable; ++i) {
     const double measured = static_cast<double>(i) / kTable - 0.5;
-    double phase = measured;
-    for (int k = 0; k < 60; ++k) {  // converges: 2 pi A < 1
-      const double before = std::exchange(phase, measured + pull * std::sin(2 * CV_PI * phase));
-      if (phase == before) break;
+    for (int k = 0; k < 20; ++k) {  // a few suffice: 2 pi A < 1
+      const double step = (phase - pull * std::sin(2 * CV_PI * phase) - measured) /
+                          (1 - 2 * CV_PI * pull * std::cos(2 * CV_PI * phase));
+      phase -= step;
+      if (std::abs(step) < 1e-10) break;
     }
     correction[i] = static_cast<float>(phase - measured);
   }
@@ -273,29 +218,26 @@ Segments find_segments(const cv::Mat1f& disparity, double tolerance) {
     }
     segments.sizes[label[i]] += runs[i].end - runs[i].begin;
   }
+  segments.runs.resize(runs.size());
   parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
     for (int y = y0; y < y1; ++y) {
       int* out = segments.label[y];
       std::fill_n(out, disparity.cols, -1);
-      for (int i = first_run[y]; i < first_run[y + 1]; ++i) std::fill(out + runs[i].begin, out + runs[i].end, label[i]);
+      for (int i = first_run[y]; i < first_run[y + 1]; ++i) {
+        std::fill(out + runs[i].begin, out + runs[i].end, label[i]);
+        segments.runs[i] = {y, runs[i].begin, runs[i].end, label[i]};
+      }
     }
   });
   return segments;
 }
 
 void reject_small(int min_size, cv::Mat1f& disparity, Segments& segments) {
-  parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
-    for (int y = y0; y < y1; ++y) {
-      int* label = segments.label[y];
-      float* d = disparity[y];
-      for (int x = 0; x < disparity.cols; ++x) {
-        if (label[x] >= 0 && segments.sizes[label[x]] < min_size) {
-          label[x] = -1;
-          d[x] = 0;
-        }
-      }
-    }
-  });
+  for (const Segments::Run& run : segments.runs) {
+    if (segments.sizes[run.label] >= min_size) continue;
+    std::fill(segments.label[run.y] + run.begin, segments.label[run.y] + run.end, -1);
+    std::fill(disparity[run.y] + run.begin, disparity[run.y] + run.end, 0.0f);
+  }
 }
 
 }  // namespace iris::stereo

@@ -27,9 +27,9 @@ enum class SubPixel {
 };
 
 // Disparities [px] of the remaining winners, 0 = none: the minimum of the fitted function. At the ends of the search
-// range without refinement. Values below `smallest` are set to it.
-cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, SubPixel fit,
-                 float smallest);
+// range without refinement. Values below `smallest` are set to it. `disparity` has the size of `winner`.
+void refine(const Correlation& correlation, const cv::Mat1w& winner, int min_disparity, SubPixel fit, float smallest,
+            cv::Mat1f disparity);
 
 // Takes the pull towards (or away from) whole pixels out of refined disparities. Costs do not grow exactly linearly, so
 // that a surface at phase p between two pixels is measured at p - A sin(2 pi p), with an A that depends on texture,
@@ -40,10 +40,15 @@ cv::Mat1f refine(const Correlation& correlation, const cv::Mat1w& winner, int mi
 void equalise(const cv::Mat1w& winner, int min_disparity, cv::Mat1f& disparity);
 
 // Labels of 4-connected segments of valid disparities (> 0) whose neighbours differ by at most `tolerance` [px];
-// -1 = invalid. Labels count from 0 in the order of each segment's first pixel. `sizes` [px] per label.
+// -1 = invalid. Labels count from 0 in the order of each segment's first pixel. `sizes` [px] per label. `runs`: of
+// pixels of one segment next to each other in a row, begin … end - 1, row by row.
 struct Segments {
+  struct Run {
+    int y, begin, end, label;
+  };
   cv::Mat1i label;
   std::vector<int> sizes;
+  std::vector<Run> runs;
 };
 Segments find_segments(const cv::Mat1f& disparity, double tolerance);
 

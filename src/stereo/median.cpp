@@ -5,6 +5,8 @@
 #include <cmath>
 #include <cstdlib>
 #include <opencv2/imgproc.hpp>
+#include <optional>
+#include <utility>
 #include <vector>
 
 #include "iris/core/error.h"
@@ -61,6 +63,66 @@ void outvoted(const int16_t* bin, const int16_t* grey, const int16_t* factor, pt
   }
 }
 
+// Of one pixel: the weighted median of the bins around it. The pointers are those of the upper left corner of its
+// window. highest: of all bins.
+int median_bin(const int16_t* bin, const int16_t* grey, const int16_t* factor, ptrdiff_t stride, int highest) {
+  constexpr int kSide = 2 * kMedianRadius + 1;
+  constexpr int kRow = 16;  // columns of a row in `weights`, without those that do not count
+  const hn::CappedTag<int16_t, kRow> d;
+  const hn::RebindToUnsigned<decltype(d)> du;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  const ptrdiff_t centre = kMedianRadius * stride + kMedianRadius;
+  const auto own_grey = hn::Set(d, grey[centre]);
+  const auto reach = hn::Set(du, uint16_t{kGreyReach});
+  alignas(2 * kRow) int16_t bins[kSide * kRow];
+  alignas(2 * kRow) int16_t weights[kSide * kRow];
+  static constexpr int16_t kCounts[kRow + 1] = {1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0};
+  static constexpr int16_t kOddCounts[kRow] = {0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0};
+  auto sum = hn::Zero(d);
+  for (int j = 0; j < kSide; ++j) {
+    for (int i = 0; i < kRow; i += lanes) {
+      const ptrdiff_t at = j * stride + i;
+      const auto difference = hn::BitCast(du, hn::Abs(hn::Sub(hn::LoadU(d, grey + at), own_grey)));
+      const auto similar = hn::BitCast(d, hn::SaturatedSub(reach, difference));
+      const auto counts = hn::LoadU(d, (j % 2 == 0 ? kCounts : kOddCounts) + i);
+      const auto weight = hn::Mul(hn::Mul(similar, counts), hn::LoadU(d, factor + at));
+      sum = hn::Add(sum, weight);
+      hn::Store(weight, d, weights + j * kRow + i);
+      hn::Store(hn::LoadU(d, bin + at), d, bins + j * kRow + i);
+    }
+  }
+  const auto total_of = [&](hn::Vec<decltype(d)> v) HWY_ATTR {
+#if HWY_TARGET == HWY_SCALAR
+    return static_cast<int>(hn::GetLane(v));
+#else
+    const hn::Repartition<int32_t, decltype(d)> d32;
+    // Lanes are positive: of each pair, the lower one is what remains without the upper.
+    const auto pairs = hn::BitCast(d32, v);
+    const auto upper = hn::ShiftRight<16>(pairs);
+    const auto lower = hn::ShiftRight<16>(hn::ShiftLeft<16>(pairs));
+    return static_cast<int>(hn::GetLane(hn::SumOfLanes(d32, hn::Add(lower, upper))));
+#endif
+  };
+  const int total = total_of(sum);
+  // The smallest bin up to which at least half of the weight lies.
+  int low = 0, high = highest;
+  while (low < high) {
+    const int middle = (low + high) / 2;
+    const auto next = hn::Set(d, static_cast<int16_t>(middle + 1));
+    auto below = hn::Zero(d);
+    for (int i = 0; i < kSide * kRow; i += lanes) {
+      const auto counts = hn::Lt(hn::Load(d, bins + i), next);
+      below = hn::Add(below, hn::IfThenElseZero(counts, hn::Load(d, weights + i)));
+    }
+    if (2 * total_of(below) >= total) {
+      high = middle;
+    } else {
+      low = middle + 1;
+    }
+  }
+  return low;
+}
+
 // 255 where a pixel of a row differs by more than kStep from one of its four neighbours, else 0. Each row has a
 // readable pixel on either side and a vector behind; pixels <= 0 have no step.
 void find_steps(const float* above, const float* row, const float* below, int width, uint8_t* out) {
@@ -87,31 +149,36 @@ HWY_AFTER_NAMESPACE();
 namespace iris::stereo {
 
 HWY_EXPORT(outvoted);
+HWY_EXPORT(median_bin);
 HWY_EXPORT(find_steps);
 
 namespace {
 
 constexpr int kRowsPerChunk = 16;
-constexpr int kBins = 1024;    // [px]
-constexpr int kNoBin = -8192;  // farther from any bin than bins are from each other
+constexpr int kRowsPerMedian = 40;  // with as many rows above and below as windows reach
+constexpr int kBins = 1024;         // [px]
+constexpr int kNoBin = -8192;       // farther from any bin than bins are from each other
 constexpr int kMeasuredWeight = 5, kInterpolatedWeight = 3;
 
-// What windows are made of, with kMedianRadius pixels of weight 0 around the image (and room for a tile behind).
+// What windows of the rows y0 … y1 - 1 are made of, with kMedianRadius pixels of weight 0 around the image (and room
+// for a tile behind). Row 0 is the image's row y0 - kMedianRadius.
 struct Planes {
   cv::Mat1s bin, grey, factor;
+  int highest = 0;  // of the bins
 
-  Planes(const cv::Mat1b& left, const DisparityImage& image) {
-    const cv::Size size(left.cols + 2 * kMedianRadius + kTile, left.rows + 2 * kMedianRadius);
+  Planes(const cv::Mat1b& left, const DisparityImage& image, int y0, int y1) {
+    const cv::Size size(left.cols + 2 * kMedianRadius + kTile, y1 - y0 + 2 * kMedianRadius);
     for (cv::Mat1s* plane : {&bin, &grey, &factor}) plane->create(size);
-    parallel_chunks(0, size.height, kRowsPerChunk, [&](int v0, int v1) {
-      for (int v = v0; v < v1; ++v) {
-        const int y = v - kMedianRadius;
-        std::fill_n(bin[v], size.width, int16_t{kNoBin});
-        std::fill_n(grey[v], size.width, int16_t{0});
-        std::fill_n(factor[v], size.width, int16_t{0});
-        if (y >= 0 && y < left.rows) fill(left[y], image.disparity[y], image.origin[y], left.cols, v);
+    for (int v = 0; v < size.height; ++v) {
+      const int y = y0 + v - kMedianRadius;
+      const bool inside = y >= 0 && y < left.rows;
+      for (const auto& [plane, nothing] : {std::pair{&bin, kNoBin}, std::pair{&grey, 0}, std::pair{&factor, 0}}) {
+        int16_t* const row = (*plane)[v];
+        std::fill_n(row, inside ? kMedianRadius : size.width, static_cast<int16_t>(nothing));
+        if (inside) std::fill(row + kMedianRadius + left.cols, row + size.width, static_cast<int16_t>(nothing));
       }
-    });
+      if (inside) fill(left[y], image.disparity[y], image.origin[y], left.cols, v);
+    }
   }
 
  private:
@@ -123,6 +190,7 @@ struct Planes {
       const int rounded = std::min(kBins - 1, static_cast<int>(d[x] + 0.5f));
       bins[x] = static_cast<int16_t>(d[x] > 0 ? rounded : kNoBin);
     }
+    highest = std::max<int>(highest, *std::max_element(bins, bins + width));
     for (int x = 0; x < width; ++x) greys[x] = left[x];
     for (int x = 0; x < width; ++x) {
       const bool measured = origin[x] <= static_cast<uint8_t>(DisparityOrigin::corrected);
@@ -168,67 +236,62 @@ cv::Mat1f plain_median(const cv::Mat1f& disparity) {
   return out;
 }
 
-DisparityImage guided_median(const cv::Mat1b& left, const DisparityImage& image) {
+void guided_median(const cv::Mat1b& left, DisparityImage& image) {
   IRIS_CHECK(left.size() == image.disparity.size());
   const cv::Mat1f& disparity = image.disparity;
   const cv::Mat1b near = near_steps(disparity);
-  const Planes planes(left, image);
-  DisparityImage out{disparity.clone(), image.origin.clone()};
   // The window, its nearest pixels first.
   struct Tap {
     int row, column;
-    ptrdiff_t at;  // in the planes
   };
   std::vector<Tap> taps;
   for (int j = -kMedianRadius; j <= kMedianRadius; ++j) {
-    for (int i = -kMedianRadius + ((j + kMedianRadius) & 1); i <= kMedianRadius; i += 2) {
-      taps.push_back({j, i, j * static_cast<ptrdiff_t>(planes.bin.step1()) + i});
-    }
+    for (int i = -kMedianRadius + ((j + kMedianRadius) & 1); i <= kMedianRadius; i += 2) taps.push_back({j, i});
   }
   std::stable_sort(taps.begin(), taps.end(), [](const Tap& a, const Tap& b) {
     return std::abs(a.row) + std::abs(a.column) < std::abs(b.row) + std::abs(b.column);
   });
-  parallel_chunks(0, disparity.rows, kRowsPerChunk, [&](int y0, int y1) {
-    std::vector<int> histogram(kBins, 0);
+  // What changes, put in at the end: until then windows consist of what was there before.
+  struct Change {
+    int x, y;
+    float disparity;
+  };
+  std::vector<std::vector<Change>> changes((disparity.rows + kRowsPerMedian - 1) / kRowsPerMedian);
+  parallel_chunks(0, disparity.rows, kRowsPerMedian, [&](int y0, int y1) {
+    const auto is_set = [](uint8_t value) { return value != 0; };
+    std::optional<Planes> planes;
     std::array<int16_t, kTile> loses;
-    // Of the pixel (x, y), which does not agree with its neighbours.
-    const auto settle = [&](int x, int y) {
-      const int16_t* const bin = planes.bin[y + kMedianRadius] + x + kMedianRadius;
-      const int16_t* const grey = planes.grey[y + kMedianRadius] + x + kMedianRadius;
-      const int16_t* const factor = planes.factor[y + kMedianRadius] + x + kMedianRadius;
-      int low = kBins, high = 0, total = 0;
-      for (const Tap& tap : taps) {
-        if (factor[tap.at] == 0) continue;
-        const int weight = std::max(0, kGreyReach - std::abs(grey[tap.at] - *grey)) * factor[tap.at];
-        histogram[bin[tap.at]] += weight;
-        total += weight;
-        low = std::min<int>(low, bin[tap.at]);
-        high = std::max<int>(high, bin[tap.at]);
-      }
-      int median = low;
-      for (int sum = histogram[low]; 2 * sum < total;) sum += histogram[++median];
-      std::fill(histogram.begin() + low, histogram.begin() + high + 1, 0);
-      const auto nearest = std::find_if(taps.begin(), taps.end(), [&](const Tap& t) { return bin[t.at] == median; });
-      out.disparity(y, x) = disparity(y + nearest->row, x + nearest->column);
-      if (image.origin(y, x) == static_cast<uint8_t>(DisparityOrigin::measured)) {
-        out.origin(y, x) = static_cast<uint8_t>(DisparityOrigin::corrected);
-      }
-    };
     for (int y = y0; y < y1; ++y) {
+      const uint8_t* const wanted = near[y];
       for (int x0 = 0; x0 < disparity.cols; x0 += kTile) {
         const int x1 = std::min(x0 + kTile, disparity.cols);
-        const uint8_t* const wanted = near[y];
-        if (std::none_of(wanted + x0, wanted + x1, [](uint8_t value) { return value != 0; })) continue;
-        HWY_DYNAMIC_DISPATCH(outvoted)
-        (planes.bin[y] + x0, planes.grey[y] + x0, planes.factor[y] + x0, static_cast<ptrdiff_t>(planes.bin.step1()),
-         loses.data());
+        if (std::none_of(wanted + x0, wanted + x1, is_set)) continue;
+        if (!planes) planes.emplace(left, image, y0, y1);
+        const ptrdiff_t stride = static_cast<ptrdiff_t>(planes->bin.step1());
+        const int16_t* const bin = planes->bin[y - y0];
+        const int16_t* const grey = planes->grey[y - y0];
+        const int16_t* const factor = planes->factor[y - y0];
+        HWY_DYNAMIC_DISPATCH(outvoted)(bin + x0, grey + x0, factor + x0, stride, loses.data());
         for (int x = x0; x < x1; ++x) {
-          if (wanted[x] != 0 && loses[x - x0] != 0 && disparity[y][x] > 0) settle(x, y);
+          if (wanted[x] == 0 || loses[x - x0] == 0 || !(disparity[y][x] > 0)) continue;
+          const int median = HWY_DYNAMIC_DISPATCH(median_bin)(bin + x, grey + x, factor + x, stride, planes->highest);
+          const int16_t* const own_bin = bin + kMedianRadius * (stride + 1) + x;
+          const auto nearest = std::find_if(taps.begin(), taps.end(),
+                                            [&](const Tap& t) { return own_bin[t.row * stride + t.column] == median; });
+          changes[y0 / kRowsPerMedian].push_back({x, y, disparity(y + nearest->row, x + nearest->column)});
         }
       }
     }
   });
-  return out;
+  for (const std::vector<Change>& of_chunk : changes) {
+    for (const Change& change : of_chunk) {
+      image.disparity(change.y, change.x) = change.disparity;
+      uint8_t& origin = image.origin(change.y, change.x);
+      if (origin == static_cast<uint8_t>(DisparityOrigin::measured)) {
+        origin = static_cast<uint8_t>(DisparityOrigin::corrected);
+      }
+    }
+  }
 }
 
 }  // namespace iris::stereo

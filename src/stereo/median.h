@@ -20,6 +20,6 @@ int guide_weight(int grey_difference, bool interpolated);
 // kMedianRadius, and whose rounded disparity is more than 1 px away from the weighted median of the rounded ones
 // around it, takes the disparity of the nearest pixel at the median. Its origin becomes corrected if it was measured
 // and stays otherwise; pixels without disparity stay so.
-DisparityImage guided_median(const cv::Mat1b& left, const DisparityImage& image);
+void guided_median(const cv::Mat1b& left, DisparityImage& image);
 
 }  // namespace iris::stereo

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <utility>
 #include <vector>
 
@@ -51,13 +52,10 @@ Comparison comparison_of(const MwmfOptions& options) {
   return c;
 }
 
-struct Matched {
-  Correlation correlation;
-  int min_margin;  // [cost units]
-};
-
-// Correlation with multiple windows (3.4.2).
-Matched match(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOptions& options) {
+// Correlation with multiple windows (3.4.2). The rows go to next(y0, rows, smallest margin of the winner [cost units]),
+// from several threads at once.
+void match(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOptions& options,
+           const std::function<void(int, Correlation&, int)>& next) {
   const Comparison comparison = comparison_of(options);
   const auto prepare = [&](const cv::Mat1b& image) {
     MatchImage out{image, comparison.census || comparison.rank ? census_transform(image) : Census()};
@@ -95,26 +93,34 @@ Matched match(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOptions& 
     margin /= 1 << (fast ? p.shift : cost_shift(parameters, comparison.census));
   }
   const MatchImage a = prepare(left), b = prepare(right);
-  return {fast ? correlate(a, b, p) : compare(a, b, parameters), static_cast<int>(std::lround(margin))};
+  const int min_margin = static_cast<int>(std::lround(margin));
+  if (fast) {
+    correlate(a, b, p, [&](int y0, Correlation& rows) { next(y0, rows, min_margin); });
+  } else {
+    Correlation all = compare(a, b, parameters);
+    next(0, all, min_margin);
+  }
 }
 
 // Correlation and what follows it up to sub-pixel disparities.
 cv::Mat1f measure_disparities(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOptions& options) {
-  // Correlation with multiple windows (3.4.2).
-  const Matched matched = match(left, right, options);
-  const Correlation& correlation = matched.correlation;
-  // Filters (3.4.3, 3.4.1); nothing else needs the winners as they were.
-  cv::Mat1w winner = correlation.winner;
-  if (matched.min_margin > 0) reject_ambiguous(correlation, matched.min_margin, winner);
-  if (options.left_right_tolerance >= 0) {
-    reject_one_sided(correlation.right_winner, options.min_disparity, options.left_right_tolerance, winner);
-  }
-  if (options.reject_outermost) reject_outermost(options.min_disparity, winner);
   // Sub-pixel disparities (3.4.1).
   const bool equalised = options.sub_pixel == "equalised";
   const auto fit = parse<SubPixel>(equalised ? "v" : options.sub_pixel,
                                    {{"off", SubPixel::off}, {"parabola", SubPixel::parabola}, {"v", SubPixel::v}});
-  cv::Mat1f disparity = refine(correlation, winner, options.min_disparity, fit, kSmallestDisparity);
+  cv::Mat1w winner(left.size());
+  cv::Mat1f disparity(left.size());
+  match(left, right, options, [&](int y0, Correlation& rows, int min_margin) {
+    // Filters (3.4.3, 3.4.1); nothing else needs the winners as they were.
+    if (min_margin > 0) reject_ambiguous(rows, min_margin, rows.winner);
+    if (options.left_right_tolerance >= 0) {
+      reject_one_sided(rows.right_winner, options.min_disparity, options.left_right_tolerance, rows.winner);
+    }
+    if (options.reject_outermost) reject_outermost(options.min_disparity, rows.winner);
+    const cv::Range of_image(y0, y0 + rows.winner.rows);
+    if (equalised) rows.winner.copyTo(winner.rowRange(of_image));
+    refine(rows, rows.winner, options.min_disparity, fit, kSmallestDisparity, disparity.rowRange(of_image));
+  });
   if (equalised) equalise(winner, options.min_disparity, disparity);
   return disparity;
 }
@@ -243,9 +249,7 @@ DisparityImage mwmf(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOpt
         options.borders, {{"halves", BorderCriterion::halves}, {"support", BorderCriterion::support}});
     borders.reach = options.border_reach;
     borders.rows = options.border_rows | 1;
-    const cv::Mat1f moved = correct_borders(left, right, disparity, borders);
-    corrected = moved != disparity;
-    disparity = moved;
+    correct_borders(left, right, borders, disparity, corrected);
   }
   // Segments and their filter (3.4.1), interpolation (3.4.5).
   Segments segments = find_segments(disparity, options.segment_tolerance);
@@ -259,7 +263,7 @@ DisparityImage mwmf(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOpt
   interpolation.hidden_strips = options.hidden_strips;
   DisparityImage out = interpolate(disparity, corrected, segments, interpolation);
   if (options.median == "plain") out.disparity = plain_median(out.disparity);
-  if (options.median == "guided") out = guided_median(left, out);
+  if (options.median == "guided") guided_median(left, out);
   return out;
 }
 

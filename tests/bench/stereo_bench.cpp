@@ -111,7 +111,8 @@ struct Steps {
     winner = correlation.winner.clone();
     reject_ambiguous(correlation, 30, winner);
     reject_one_sided(correlation.right_winner, 0, 1, winner);
-    disparity = refine(correlation, winner, 0, SubPixel::v, kSmallestDisparity);
+    disparity.create(winner.size());
+    refine(correlation, winner, 0, SubPixel::v, kSmallestDisparity, disparity);
   }
 };
 Steps& steps() {

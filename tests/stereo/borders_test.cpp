@@ -34,6 +34,15 @@ struct Scene {
   }
 };
 
+cv::Mat1f corrected(const cv::Mat1b& left, const cv::Mat1b& right, const cv::Mat1f& disparity,
+                    const BorderParameters& parameters) {
+  cv::Mat1f out = disparity.clone();
+  cv::Mat1b changed;
+  correct_borders(left, right, parameters, out, changed);
+  EXPECT_EQ(cv::countNonZero(changed != (out != disparity)), 0);
+  return out;
+}
+
 // Correlation widens or narrows objects; whatever the shift of either border within reach, it is undone.
 TEST(Borders, ReturnToWhereTheyAre) {
   const Scene scene(30, 55, 1);
@@ -42,7 +51,7 @@ TEST(Borders, ReturnToWhereTheyAre) {
       for (int at_right = -4; at_right <= 4; ++at_right) {
         cv::Mat1f measured(scene.truth.size(), 5.0f);
         measured.colRange(30 + at_left, 56 + at_right) = 12.0f;
-        const cv::Mat1f out = correct_borders(scene.left, scene.right, measured, {.criterion = criterion});
+        const cv::Mat1f out = corrected(scene.left, scene.right, measured, {.criterion = criterion});
         int wrong = cv::countNonZero(out != scene.truth);
         // The thesis's criterion is met where both halves fit equally badly as well; where both fit is one such place.
         EXPECT_LE(wrong, criterion == BorderCriterion::support ? 0 : scene.left.rows) << at_left << " " << at_right;
@@ -56,7 +65,7 @@ TEST(Borders, InvalidPixelsBesideABorderTakeItsSide) {
   cv::Mat1f measured = scene.truth.clone();
   measured.colRange(25, 33) = 0.0f;  // hidden strip and the first columns of the object
   measured.colRange(53, 58) = 0.0f;
-  const cv::Mat1f out = correct_borders(scene.left, scene.right, measured, {});
+  const cv::Mat1f out = corrected(scene.left, scene.right, measured, {});
   for (int x = 0; x < scene.truth.cols; ++x) {
     if (out(10, x) > 0) {
       EXPECT_EQ(out(10, x), scene.truth(10, x)) << x;
@@ -74,7 +83,7 @@ TEST(Borders, SmallStepsAreNone) {
   for (int y = 0; y < slope.rows; ++y) {
     for (int x = 0; x < slope.cols; ++x) slope(y, x) = 5 + 1.9f * static_cast<float>(x / 8);
   }
-  EXPECT_EQ(cv::countNonZero(correct_borders(scene.left, scene.right, slope, {}) != slope), 0);
+  EXPECT_EQ(cv::countNonZero(corrected(scene.left, scene.right, slope, {}) != slope), 0);
 }
 
 // The definition of borders.h, step by step: every candidate of every border is written out and summed up anew.
@@ -161,8 +170,8 @@ TEST(Borders, EqualTheDefinitionOnRandomImagesWithAnyNumberOfThreads) {
                                       .cap = 5 + round};
     const cv::Mat1f expected = reference(left, right, disparity, parameters);
     cv::Mat1f one, many;
-    with_threads(1, [&] { one = correct_borders(left, right, disparity, parameters); });
-    with_threads(4, [&] { many = correct_borders(left, right, disparity, parameters); });
+    with_threads(1, [&] { one = corrected(left, right, disparity, parameters); });
+    with_threads(4, [&] { many = corrected(left, right, disparity, parameters); });
     ASSERT_EQ(cv::countNonZero(one != expected), 0) << round;
     ASSERT_EQ(cv::countNonZero(one != many), 0) << round;
     moved += cv::countNonZero(one != disparity);

@@ -40,6 +40,12 @@ TEST(LeftRightCheck, ComparesWithTheCorrespondingPixel) {
   EXPECT_THAT(std::vector<int>(winner.begin(), winner.end()), ::testing::ElementsAre(0, 3, 3, kNone, kNone, kNone));
 }
 
+cv::Mat1f refined(const Correlation& c, const cv::Mat1w& winner, int min_disparity, SubPixel fit, float smallest) {
+  cv::Mat1f disparity(winner.size());
+  refine(c, winner, min_disparity, fit, smallest, disparity);
+  return disparity;
+}
+
 TEST(Refine, FitsAV) {
   Correlation c;
   // |d - 10.25| * 40 + 100 at 9, 10, 11: 150, 110, 130: the V's minimum is at 10.25.
@@ -47,14 +53,14 @@ TEST(Refine, FitsAV) {
   c.before = (cv::Mat1w(1, 5) << 150, kNone, 50, 130, 140);
   c.after = (cv::Mat1w(1, 5) << 130, 130, 50, 110, 120);
   const cv::Mat1w winner = (cv::Mat1w(1, 5) << 10, 10, 10, kNone, 0);
-  const cv::Mat1f d = refine(c, winner, 0, SubPixel::v, 0.0625f);
+  const cv::Mat1f d = refined(c, winner, 0, SubPixel::v, 0.0625f);
   EXPECT_FLOAT_EQ(d(0, 0), 10.25f);
   EXPECT_FLOAT_EQ(d(0, 1), 10.0f);  // at the end of the range
   EXPECT_FLOAT_EQ(d(0, 2), 10.0f);  // all equal
   EXPECT_FLOAT_EQ(d(0, 3), 0.0f);   // invalid
   EXPECT_FLOAT_EQ(d(0, 4), 0.25f);
-  EXPECT_FLOAT_EQ(refine(c, winner, -7, SubPixel::v, 0.0625f)(0, 0), 3.25f);
-  EXPECT_FLOAT_EQ(refine(c, winner, -20, SubPixel::v, 0.0625f)(0, 0), 0.0625f);  // beyond infinity
+  EXPECT_FLOAT_EQ(refined(c, winner, -7, SubPixel::v, 0.0625f)(0, 0), 3.25f);
+  EXPECT_FLOAT_EQ(refined(c, winner, -20, SubPixel::v, 0.0625f)(0, 0), 0.0625f);  // beyond infinity
 }
 
 TEST(Refine, FitsAParabolaOrNothing) {
@@ -64,11 +70,11 @@ TEST(Refine, FitsAParabolaOrNothing) {
   c.before = (cv::Mat1w(1, 3) << 525, kNone, 50);
   c.after = (cv::Mat1w(1, 3) << 445, 130, 50);
   const cv::Mat1w winner = (cv::Mat1w(1, 3) << 10, 10, 10);
-  const cv::Mat1f d = refine(c, winner, 0, SubPixel::parabola, 0.0625f);
+  const cv::Mat1f d = refined(c, winner, 0, SubPixel::parabola, 0.0625f);
   EXPECT_FLOAT_EQ(d(0, 0), 10.25f);
   EXPECT_FLOAT_EQ(d(0, 1), 10.0f);
   EXPECT_FLOAT_EQ(d(0, 2), 10.0f);
-  EXPECT_FLOAT_EQ(refine(c, winner, 0, SubPixel::off, 0.0625f)(0, 0), 10.0f);
+  EXPECT_FLOAT_EQ(refined(c, winner, 0, SubPixel::off, 0.0625f)(0, 0), 10.0f);
 }
 
 // Disparities of a known pull, over several levels of evenly spread phases.

@@ -50,12 +50,15 @@ float smallest(const std::array<Neighbour, 4>& neighbours, bool second) {
 }
 
 // Whether the gap between two neighbours in a row is the strip of background that an object at the right hides from the
-// right camera: as wide as the step of disparity, with some tolerance for the pixels that windows lose on either side.
+// right camera: as wide as the step of disparity, and wider by what windows lose on either side of it, half of their
+// width each. Within a segment, whose disparities grow step by step around the strip, a slanting surface could look the
+// same: there the step must be at least half as large as the gap.
 bool hidden(const Neighbour& left, const Neighbour& right) {
-  constexpr float kTolerance = 2;  // [px]
-  if (left.distance == 0 || right.distance == 0 || left.segment == right.segment) return false;
-  const float step = right.disparity - left.disparity;
-  return step > 0 && static_cast<float>(left.distance + right.distance - 1) <= step + kTolerance;
+  constexpr float kSlack = 6, kStepWithin = 2;  // [px]
+  if (left.distance == 0 || right.distance == 0) return false;
+  const float step = right.disparity - left.disparity, gap = static_cast<float>(left.distance + right.distance - 1);
+  if (left.segment != right.segment) return step > 0 && gap <= step + kSlack;
+  return step > kStepWithin && gap <= step + std::min(kSlack, step);
 }
 
 // Of valid pixels; none elsewhere. In a form that compilers turn into vectors.

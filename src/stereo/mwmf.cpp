@@ -193,8 +193,8 @@ void MwmfOptions::declare(OptionSet& set) {
   set.add("left_from_right", left_from_right,
           "The strip at the left edge, which the right camera does not see, continues its right neighbour.");
   set.add("hidden_strips", hidden_strips,
-          "A gap as wide as the step of disparity at its right end is hidden from the right camera: it continues the "
-          "background at its left.");
+          "A gap about as wide as the step of disparity at its right end is hidden from the right camera: it continues "
+          "the background at its left.");
   set.add("median", median, {"off", "plain", "guided"},
           "Last step: a plain 5x5 median; or, next to steps of disparity, one in which pixels of similar grey value "
           "count most, so that borders of objects follow the image.");

@@ -78,6 +78,29 @@ TEST(Interpolation, AStripHiddenByAnObjectContinuesTheBackgroundAtItsLeft) {
   }
 }
 
+// The object and the background are one segment, because the floor on which the object stands connects them.
+TEST(Interpolation, AStripHiddenByAnObjectOfTheSameSegmentContinuesTheBackground) {
+  constexpr int kRows = 12;
+  cv::Mat1f d(kRows, 14, 4.0f);
+  for (int y = 0; y < kRows; ++y) {
+    for (int x = 0; x < 14; ++x) {
+      if (y == kRows - 1) d(y, x) = 4 + 0.5f * static_cast<float>(x);  // the floor rises towards the object
+      if (y < kRows - 1 && x >= 8) d(y, x) = 9;
+      if (y < kRows - 1 && x >= 3 && x < 8) d(y, x) = 0;
+    }
+  }
+  const Segments segments = find_segments(d, 1.0);
+  ASSERT_EQ(segments.label(0, 0), segments.label(0, 13));
+  const DisparityImage out = interpolate(d, {}, segments, {});
+  for (int x = 3; x < 8; ++x) EXPECT_FLOAT_EQ(out.disparity(3, x), 4);
+  // A surface that slants less than by half a pixel a pixel is no step.
+  const cv::Mat1f slope = (cv::Mat1f(3, 9) << 4, 4.4f, 4.8f, 5.2f, 5.6f, 6, 6.4f, 6.8f, 7.2f,  //
+                           4, 4.4f, 0, 0, 0, 0, 0, 6.8f, 7.2f,                                 //
+                           4, 4.4f, 4.8f, 5.2f, 5.6f, 6, 6.4f, 6.8f, 7.2f);
+  const DisparityImage plane = interpolate(slope, {}, find_segments(slope, 1.0), {});
+  for (int x = 2; x < 7; ++x) EXPECT_NEAR(plane.disparity(1, x), slope(0, x), 1e-5);
+}
+
 TEST(Interpolation, SaysWhatWasCorrected) {
   const cv::Mat1f d = (cv::Mat1f(1, 3) << 5, 5, 0);
   const cv::Mat1b corrected = (cv::Mat1b(1, 3) << 0, 255, 255);
@@ -124,9 +147,10 @@ float reference(const cv::Mat1f& d, const cv::Mat1i& label, int y, int x, const 
   origin = within ? kWithin : kBetween;
   if (!row) return column->d;
   if (!column || (p.left_from_right && !hits[0])) return row->d;
-  if (p.hidden_strips && hits[0] && hits[1] && hits[0]->segment != hits[1]->segment && hits[0]->d < hits[1]->d) {
-    const int gap = hits[0]->distance + hits[1]->distance - 1;
-    if (gap <= hits[1]->d - hits[0]->d + 2) return hits[0]->d;
+  if (p.hidden_strips && hits[0] && hits[1]) {
+    const double gap = hits[0]->distance + hits[1]->distance - 1, step = hits[1]->d - hits[0]->d;
+    const bool one = hits[0]->segment == hits[1]->segment;
+    if (step > (one ? 2 : 0) && gap <= step + 6 && (!one || gap <= 2 * step)) return hits[0]->d;
   }
   if (row->segment == column->segment) return (row->d + column->d) / 2;
   std::vector<float> values;

@@ -1,5 +1,6 @@
 #include "iris/motion/consistency.h"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -9,41 +10,38 @@
 namespace iris::motion {
 namespace {
 
-// The point in a camera that is turned back by `turns` quarter turns: x right, y down, the image turned clockwise.
-Eigen::Vector3d turned_point(const Eigen::Vector3d& p, int turns) {
-  switch (turns) {
-    case 1:
-      return {-p.y(), p.x(), p.z()};
-    case 2:
-      return {-p.x(), -p.y(), p.z()};
-    case 3:
-      return {p.y(), -p.x(), p.z()};
-    default:
-      return p;
-  }
-}
-
-}  // namespace
-
-bool consistent(const RectifiedCamera& camera, const Correspondence& a, const Correspondence& b, double pixel_error,
-                double max_turn, int turns) {
+// (5.2) and (5.3); undo_roll turns differences of points in the current camera clockwise.
+bool consistent_pair(const RectifiedCamera& camera, const Correspondence& a, const Correspondence& b,
+                     double pixel_error, double cos_max_turn, const Eigen::Matrix3d& undo_roll) {
   const Eigen::Vector3d u = a.prev_point - b.prev_point;
-  const Eigen::Vector3d v = turned_point(a.cur_point - b.cur_point, turns);
+  const Eigen::Vector3d v = undo_roll * (a.cur_point - b.cur_point);
   const double length_u = u.norm(), length_v = v.norm();
-  if (u.dot(v) < std::cos(max_turn) * length_u * length_v) return false;  // (5.3)
+  if (u.dot(v) < cos_max_turn * length_u * length_v) return false;  // (5.3)
   const double error_u = reconstruct::length_error(camera, a.prev_point, b.prev_point, pixel_error);
   const double error_v = reconstruct::length_error(camera, a.cur_point, b.cur_point, pixel_error);
   const double difference = length_u - length_v;
   return difference * difference <= 9 * (error_u * error_u + error_v * error_v);  // (5.2)
 }
 
+// x right, y down, z forward.
+Eigen::Matrix3d clockwise(double roll) { return Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitZ()).toRotationMatrix(); }
+
+}  // namespace
+
+bool consistent(const RectifiedCamera& camera, const Correspondence& a, const Correspondence& b, double pixel_error,
+                double max_turn, double roll) {
+  return consistent_pair(camera, a, b, pixel_error, std::cos(max_turn), clockwise(roll));
+}
+
 BitMatrix consistency_matrix(const RectifiedCamera& camera, const std::vector<Correspondence>& correspondences,
-                             double pixel_error, double max_turn, int turns) {
+                             double pixel_error, double max_turn, double roll) {
   const int n = static_cast<int>(correspondences.size());
   BitMatrix matrix(n);
+  const double cos_max_turn = std::cos(max_turn);
+  const Eigen::Matrix3d undo_roll = clockwise(roll);
   for (int i = 0; i < n; ++i)
     for (int k = i + 1; k < n; ++k)
-      if (consistent(camera, correspondences[i], correspondences[k], pixel_error, max_turn, turns))
+      if (consistent_pair(camera, correspondences[i], correspondences[k], pixel_error, cos_max_turn, undo_roll))
         matrix.set_pair(i, k);
   return matrix;
 }

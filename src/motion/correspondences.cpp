@@ -17,12 +17,8 @@ RankPatch turned(const RankPatch& patch) {
   return result;
 }
 
-std::vector<std::pair<int, int>> match_corners(const ViewFeatures& prev, const ViewFeatures& cur, int turns) {
-  std::vector<RankPatch> cur_patches = cur.patches;
-  for (RankPatch& patch : cur_patches)
-    for (int turn = 0; turn < turns; ++turn) patch = turned(patch);
-
-  const NearestPatches nearest = nearest_patches(prev.patches, cur_patches);
+std::vector<std::pair<int, int>> match_corners(const ViewFeatures& prev, const ViewFeatures& cur) {
+  const NearestPatches nearest = nearest_patches(prev.patches, cur.patches);
   std::vector<std::pair<int, int>> matches;
   for (int i = 0; i < static_cast<int>(nearest.of_a.size()); ++i) {
     const int j = nearest.of_a[i].index;
@@ -31,26 +27,30 @@ std::vector<std::pair<int, int>> match_corners(const ViewFeatures& prev, const V
   return matches;
 }
 
+std::optional<Correspondence> refined_match(int prev_corner, int cur_corner, const Eigen::Matrix2d& cur_from_prev,
+                                            const ViewFeatures& prev, const ViewFeatures& cur,
+                                            const RectifiedCamera& camera, const ScsOptions& options) {
+  const Corner &from = prev.corners[prev_corner], &start = cur.corners[cur_corner];
+  const Eigen::Vector2d at(start.x, start.y);
+  const PatchTrack track = track_patch(prev.image, {from.x, from.y}, cur.image, at, cur_from_prev);
+  if (!track.found) return std::nullopt;
+  const double disparity = usable_disparity(cur.disparity, track.position.x(), track.position.y(), camera, options);
+  if (disparity == 0) return std::nullopt;
+  return Correspondence{.prev_corner = prev_corner,
+                        .cur_corner = cur_corner,
+                        .prev_point = from.point_in_cam,
+                        .cur_point = camera.point(track.position.x(), track.position.y(), disparity),
+                        .moved = (track.position - at).norm()};
+}
+
 std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>>& matches, const ViewFeatures& prev,
-                                           const ViewFeatures& cur, int turns, const RectifiedCamera& camera,
+                                           const ViewFeatures& cur, const RectifiedCamera& camera,
                                            const ScsOptions& options) {
   std::vector<Correspondence> result;
-  Eigen::Matrix2d quarter;  // clockwise: x right, y down
-  quarter << 0, -1, 1, 0;
-  Eigen::Matrix2d cur_from_prev = Eigen::Matrix2d::Identity();  // the current view is turned clockwise to match
-  for (int turn = 0; turn < turns; ++turn) cur_from_prev = quarter.transpose() * cur_from_prev;
   for (const auto& [i, j] : matches) {
-    const Corner &from = prev.corners[i], &start = cur.corners[j];
-    const Eigen::Vector2d at(start.x, start.y);
-    const PatchTrack track = track_patch(prev.image, {from.x, from.y}, cur.image, at, cur_from_prev);
-    if (!track.found) continue;
-    const double disparity = usable_disparity(cur.disparity, track.position.x(), track.position.y(), camera, options);
-    if (disparity == 0) continue;
-    result.push_back({.prev_corner = i,
-                      .cur_corner = j,
-                      .prev_point = from.point_in_cam,
-                      .cur_point = camera.point(track.position.x(), track.position.y(), disparity),
-                      .moved = (track.position - at).norm()});
+    if (const auto match = refined_match(i, j, Eigen::Matrix2d::Identity(), prev, cur, camera, options)) {
+      result.push_back(*match);
+    }
   }
   return result;
 }

@@ -105,22 +105,22 @@ TracedMotion rescue_motion(const RescueFeatures& prev, const RescueFeatures& cur
   if (std::min(prev.count(), cur.count()) >= options.min_used) {
     const std::vector<Correspondence> keypoints = keypoint_matches(prev, cur, camera, options);
     for (const int turns : {0, 1, 3, 2}) {
-      if (turns > 0 && !options.quarter_turns) break;
+      if (turns > 0 && !options.any_roll) break;
       std::vector<Correspondence> all = keypoints;
       if (turns == 0) {
         for (Correspondence& c :
-             refine_matches(match_corners(prev.dense, cur.dense), prev.dense, cur.dense, 0, camera, options)) {
+             refine_matches(match_corners(prev.dense, cur.dense), prev.dense, cur.dense, camera, options)) {
           c.prev_corner = c.cur_corner = -1;
           all.push_back(c);
         }
       }
-      TracedMotion motion = motion_from(all, turns, camera, options);
+      TracedMotion motion = motion_from(all, turns * std::numbers::pi / 2, camera, options);
+      if (motion.estimate.status == MotionStatus::ok && options.predict) {
+        motion = confirmed(motion, prev.dense, cur.dense, camera, options);
+      }
       const MotionStatus status = motion.estimate.status;
       if (turns == 0 || status == MotionStatus::ok) result = std::move(motion);
       if (status == MotionStatus::ok || status == MotionStatus::ambiguous) break;
-    }
-    if (result.estimate.status == MotionStatus::ok && options.predict) {
-      result = with_predicted(result, prev.dense, cur.dense, camera, options);
     }
   }
   result.estimate.corners = cur.count();

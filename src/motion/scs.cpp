@@ -2,17 +2,20 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 
+#include "iris/motion/agreement.h"
 #include "iris/motion/closed_form.h"
 #include "iris/motion/consistency.h"
 #include "iris/motion/correspondences.h"
 #include "iris/motion/minimise.h"
 #include "iris/reconstruct/error_models.h"
 #include "iris/reconstruct/error_propagation.h"
+#include "rolled_matches.h"
 
 namespace iris::motion {
 namespace {
@@ -183,8 +186,16 @@ void refine(TracedMotion& motion, std::vector<Correspondence> correspondences, c
   motion.used = std::move(correspondences);
 }
 
+// A successful motion, minimised over the correspondences that it predicted; the better of both.
+TracedMotion with_found(const TracedMotion& motion, const std::vector<Correspondence>& found,
+                        const RectifiedCamera& camera, const ScsOptions& options) {
+  TracedMotion next = motion;
+  refine(next, found, motion.estimate.prev_from_cur, camera, options);
+  return next.estimate.status == MotionStatus::ok && next.estimate.used >= motion.estimate.used ? next : motion;
+}
+
 // Whether a second set of correspondences contradicts the motion that a set of `consistent` supports (fig. 5.9).
-bool is_ambiguous(const TracedMotion& motion, int turns, const RectifiedCamera& camera, const ScsOptions& options) {
+bool is_ambiguous(const TracedMotion& motion, double roll, const RectifiedCamera& camera, const ScsOptions& options) {
   constexpr double kSame = 3;  // [px] what the motion explains so well may well belong to it
   const Pose cur_from_prev = motion.estimate.prev_from_cur.inverse();
   std::vector<Correspondence> others;
@@ -196,26 +207,49 @@ bool is_ambiguous(const TracedMotion& motion, int turns, const RectifiedCamera& 
   const auto least = std::max<size_t>(static_cast<size_t>(options.min_used),
                                       static_cast<size_t>(options.ambiguity * motion.estimate.consistent));
   if (others.size() < least) return false;
-  const BitMatrix matrix = consistency_matrix(camera, others, options.pixel_error, options.max_turn * kRadians, turns);
+  const BitMatrix matrix = consistency_matrix(camera, others, options.pixel_error, options.max_turn * kRadians, roll);
   return consistent_set(matrix).size() >= least;
 }
 
-// With the current view turned by a number of quarter turns.
-TracedMotion trace_turned(const ViewFeatures& prev, const ViewFeatures& cur, int turns, const RectifiedCamera& camera,
-                          const ScsOptions& options) {
-  // Initial correspondences (5.3.2). The well placed ones alone are more accurate; blur and large motion need all.
-  const auto all = refine_matches(match_corners(prev, cur, turns), prev, cur, turns, camera, options);
+// The motion that matches tell, at a known roll of the current view.
+TracedMotion trace_matches(const std::vector<Correspondence>& all, double roll, const ViewFeatures& prev,
+                           const ViewFeatures& cur, const RectifiedCamera& camera, const ScsOptions& options) {
+  // The well placed ones alone are more accurate; blur and large motion need all.
   std::vector<Correspondence> well_placed;
   for (const Correspondence& c : all)
     if (c.moved <= options.max_refinement) well_placed.push_back(c);
-  TracedMotion motion = motion_from(well_placed, turns, camera, options);
+  TracedMotion motion = motion_from(well_placed, roll, camera, options);
   if (motion.estimate.status != MotionStatus::ok && well_placed.size() < all.size()) {
-    TracedMotion with_all = motion_from(all, turns, camera, options);
+    TracedMotion with_all = motion_from(all, roll, camera, options);
     if (with_all.estimate.status == MotionStatus::ok) motion = std::move(with_all);
   }
-  return motion.estimate.status == MotionStatus::ok && options.predict
-             ? with_predicted(motion, prev, cur, camera, options)
-             : motion;
+  return motion.estimate.status == MotionStatus::ok && options.predict ? confirmed(motion, prev, cur, camera, options)
+                                                                       : motion;
+}
+
+// Initial correspondences (5.3.2) with the surroundings as they are.
+TracedMotion trace_upright(const ViewFeatures& prev, const ViewFeatures& cur, const RectifiedCamera& camera,
+                           const ScsOptions& options) {
+  return trace_matches(refine_matches(match_corners(prev, cur), prev, cur, camera, options), 0, prev, cur, camera,
+                       options);
+}
+
+// With the surroundings turned and scaled.
+TracedMotion trace_rolled(const ViewFeatures& prev, const ViewFeatures& cur, const RectifiedCamera& camera,
+                          const ScsOptions& options) {
+  constexpr int kGroups = 3;
+  for (const RolledMatches& group : rolled_matches(prev, cur, options, kGroups)) {
+    std::vector<Correspondence> all;
+    for (const auto& [i, j, roll] : group.matches) {
+      const double scale = prev.corners[i].point_in_cam.z() / cur.corners[j].point_in_cam.z();
+      // The current view, turned clockwise, looks like the previous one.
+      const Eigen::Matrix2d cur_from_prev = scale * Eigen::Rotation2Dd(-roll).toRotationMatrix();
+      if (const auto match = refined_match(i, j, cur_from_prev, prev, cur, camera, options)) all.push_back(*match);
+    }
+    TracedMotion motion = trace_matches(all, group.roll, prev, cur, camera, options);
+    if (motion.estimate.status == MotionStatus::ok) return motion;
+  }
+  return {};
 }
 
 }  // namespace
@@ -242,12 +276,17 @@ void ScsOptions::declare(OptionSet& set) {
   set.add(
       "max_refinement", max_refinement, "px", 0, 10,
       "a match whose position moves further than this when it is refined is only used if the others do not suffice");
-  set.add("quarter_turns", quarter_turns,
-          "when no motion is found, also try the view turned by 90, 180 and 270 degrees about its axis");
+  set.add("any_roll", any_roll,
+          "when no motion is found, compare the surroundings of corners turned by any angle about the optical axis and "
+          "scaled by their depths");
   set.add("predict", predict,
           "when a motion is found, look for all corners again where it predicts them, and minimise over these");
   set.add("min_similarity", min_similarity, "", -1, 1,
           "least correlation coefficient of the surroundings of a corner that was found by prediction");
+  set.add("min_support", min_support, "", 0, 1,
+          "of the corners whose surface is where a motion predicts it, the part that must be found there again");
+  set.add("max_contradiction", max_contradiction, "", 0, 1,
+          "most points that the other view looks through, as a part of all that it shows, times that support");
   set.add("max_turn", max_turn, "deg", 1, 180, "largest rotation between two views, theta (5.3)");
   set.add("ambiguity", ambiguity, "", 0.1, 2,
           "a second consistent set that is at least this part as large as the first and moves otherwise makes a motion "
@@ -269,7 +308,7 @@ void ScsOptions::declare(OptionSet& set) {
           "when that fails too, continue the last motion, marked as guessed, instead of beginning a sub-map");
 }
 
-TracedMotion motion_from(const std::vector<Correspondence>& initial, int turns, const RectifiedCamera& camera,
+TracedMotion motion_from(const std::vector<Correspondence>& initial, double roll, const RectifiedCamera& camera,
                          const ScsOptions& options) {
   TracedMotion motion;
   motion.initial = initial;
@@ -277,7 +316,7 @@ TracedMotion motion_from(const std::vector<Correspondence>& initial, int turns, 
   motion.estimate.status = MotionStatus::too_few_consistent;
 
   // Those that are consistent with each other (5.3.3).
-  const BitMatrix matrix = consistency_matrix(camera, initial, options.pixel_error, options.max_turn * kRadians, turns);
+  const BitMatrix matrix = consistency_matrix(camera, initial, options.pixel_error, options.max_turn * kRadians, roll);
   for (const int i : consistent_set(matrix)) motion.consistent.push_back(initial[i]);
   motion.estimate.consistent = static_cast<int>(motion.consistent.size());
   if (motion.estimate.consistent < options.min_used) return motion;
@@ -288,7 +327,7 @@ TracedMotion motion_from(const std::vector<Correspondence>& initial, int turns, 
       spherical_guess(points_of(motion.consistent, options.pixel_error), camera, options.pixel_error);
   if (!guess) return motion;
   refine(motion, motion.consistent, *guess, camera, options);
-  if (motion.estimate.status == MotionStatus::ok && is_ambiguous(motion, turns, camera, options)) {
+  if (motion.estimate.status == MotionStatus::ok && is_ambiguous(motion, roll, camera, options)) {
     motion.estimate = {.status = MotionStatus::ambiguous,
                        .initial = motion.estimate.initial,
                        .consistent = motion.estimate.consistent};
@@ -300,21 +339,45 @@ TracedMotion motion_from(const std::vector<Correspondence>& initial, int turns, 
 TracedMotion with_predicted(const TracedMotion& motion, const ViewFeatures& prev, const ViewFeatures& cur,
                             const RectifiedCamera& camera, const ScsOptions& options) {
   const Pose& guess = motion.estimate.prev_from_cur;
-  TracedMotion next = motion;
-  refine(next, predicted_matches(prev, cur, guess, camera, options), guess, camera, options);
-  return next.estimate.status == MotionStatus::ok && next.estimate.used >= motion.estimate.used ? next : motion;
+  return with_found(motion, predicted_matches(prev, cur, guess, camera, options), camera, options);
+}
+
+TracedMotion confirmed(const TracedMotion& motion, const ViewFeatures& prev, const ViewFeatures& cur,
+                       const RectifiedCamera& camera, const ScsOptions& options) {
+  const auto matches = predicted_matches(prev, cur, motion.estimate.prev_from_cur, camera, options);
+  TracedMotion result = with_found(motion, matches, camera, options);
+  const Agreement views = agreement(prev, cur, result.estimate.prev_from_cur, camera);
+  const double found = static_cast<double>(matches.size());
+  const double support = found / std::max(1, views.expected);
+  // A motion finds its own corners again, and most of what it finds fits it.
+  constexpr double kLeastAgain = 0.5, kLeastUsed = 0.35;
+  std::vector<char> is_found(prev.corners.size(), 0);
+  for (const Correspondence& c : matches) is_found[c.prev_corner] = 1;
+  int own = 0, again = 0;
+  for (const Correspondence& c : motion.used) {
+    if (c.prev_corner < 0) continue;
+    ++own;
+    again += is_found[c.prev_corner];
+  }
+  if (support < options.min_support || views.contradiction() > options.max_contradiction * std::min(support, 1.0) ||
+      again < kLeastAgain * own || result.estimate.used < kLeastUsed * found) {
+    result.estimate = {.status = MotionStatus::too_few_consistent,
+                       .initial = result.estimate.initial,
+                       .consistent = result.estimate.consistent};
+    result.used.clear();
+  }
+  return result;
 }
 
 TracedMotion trace_motion(const ViewFeatures& prev, const ViewFeatures& cur, const RectifiedCamera& camera,
                           const ScsOptions& options) {
   TracedMotion result;
   if (static_cast<int>(std::min(prev.corners.size(), cur.corners.size())) >= options.min_used) {
-    result = trace_turned(prev, cur, 0, camera, options);
-    for (const int turns : {1, 3, 2}) {
-      const MotionStatus status = result.estimate.status;
-      if (status == MotionStatus::ok || status == MotionStatus::ambiguous || !options.quarter_turns) break;
-      TracedMotion turned = trace_turned(prev, cur, turns, camera, options);
-      if (turned.estimate.status == MotionStatus::ok) result = std::move(turned);
+    result = trace_upright(prev, cur, camera, options);
+    const MotionStatus status = result.estimate.status;
+    if (status != MotionStatus::ok && status != MotionStatus::ambiguous && options.any_roll) {
+      TracedMotion rolled = trace_rolled(prev, cur, camera, options);
+      if (rolled.estimate.status == MotionStatus::ok) result = std::move(rolled);
     }
   }
   result.estimate.corners = static_cast<int>(cur.corners.size());

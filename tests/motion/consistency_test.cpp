@@ -71,7 +71,8 @@ TEST(Consistent, FollowsTheBoundsOfDistanceAndTurn) {  // (5.2), (5.3)
     const Correspondence flat_a = a;
     Correspondence flat_b = b;
     flat_b.prev_point.z() = flat_b.cur_point.z() = 2;
-    EXPECT_EQ(consistent(kCamera, flat_a, flat_b, 0.1, kMaxTurn, turns), expected) << degrees << " " << turns;
+    EXPECT_EQ(consistent(kCamera, flat_a, flat_b, 0.1, kMaxTurn, turns * std::numbers::pi / 2), expected)
+        << degrees << " " << turns;
   }
 }
 

@@ -79,9 +79,9 @@ TEST_P(EstimateMotion, RecoversAQuarterTurnAboutTheOpticalAxis) {
     const double scale = GetParam() == "spherical" ? 4 : 1;
     EXPECT_LT(error.translation().norm(), scale * 0.008) << roll;
     EXPECT_LT(rotation_angle(error), scale * 0.08 * kDegree) << roll;
-    options.quarter_turns = false;
+    options.any_roll = false;
     EXPECT_EQ(estimate_motion(prev, cur, kCamera, options).status, MotionStatus::too_few_consistent);
-    options.quarter_turns = true;
+    options.any_roll = true;
   }
 }
 
@@ -335,9 +335,11 @@ TEST_F(Chain, RetriesEarlierViews) {
   EXPECT_TRUE(impatient.push(views()[1], 12).new_submap);
 }
 
-// Turned by 40 degrees about the optical axis: too much for Rank patches, too little for a quarter turn.
+// Turned by 40 degrees about the optical axis: too much for Rank patches that are not turned.
 TEST_F(Chain, RescuesByKeypointsWhatPatchesCannotMatch) {
   ScsOptions options;
+  options.any_roll = false;
+  options.max_turn = 60;
   const Pose start = world(0), end = pose({-0.15, 0.02, -1.42}, 6, -2, 42);
   const ViewFeatures prev = views()[0], cur = features_at(end, options);
   ASSERT_NE(estimate_motion(prev, cur, kCamera, options).status, MotionStatus::ok);

@@ -30,13 +30,13 @@ class BitMatrix {
 
 // Whether two correspondences can belong to the same rigid motion: their points are equally far apart in both views
 // within three standard deviations of that distance (5.2), and the line between them turned by at most `max_turn` [rad]
-// (5.3) beyond `turns` quarter turns of the current view about its optical axis.
+// (5.3) beyond a known roll [rad] of the current view about its optical axis, clockwise.
 bool consistent(const RectifiedCamera& camera, const Correspondence& a, const Correspondence& b, double pixel_error,
-                double max_turn, int turns = 0);
+                double max_turn, double roll = 0);
 
 // consistent() of all pairs; the diagonal is 0.
 BitMatrix consistency_matrix(const RectifiedCamera& camera, const std::vector<Correspondence>& correspondences,
-                             double pixel_error, double max_turn, int turns = 0);
+                             double pixel_error, double max_turn, double roll = 0);
 
 // Indices of a set of mutually consistent correspondences, ascending: the one with most consistencies, then again and
 // again the one that is consistent with all chosen and keeps most candidates; the lowest index among equals.

@@ -1,6 +1,8 @@
 // Pairs of corners that look alike in two views (thesis 5.3.2), without any prediction of the motion.
 #pragma once
 
+#include <optional>
+#include <utility>
 #include <vector>
 
 #include "iris/geometry/pose.h"
@@ -20,14 +22,20 @@ struct Correspondence {
 };
 
 // Corner indices (previous, current) that are each other's best match: every patch is compared with every patch by the
-// sum of absolute differences of Rank values, and the best match must be the same both ways. The patches of the current
-// view are turned by `turns` quarter turns clockwise first. Ordered by the previous corner's index.
-std::vector<std::pair<int, int>> match_corners(const ViewFeatures& prev, const ViewFeatures& cur, int turns = 0);
+// sum of absolute differences of Rank values, and the best match must be the same both ways. Ordered by the previous
+// corner's index.
+std::vector<std::pair<int, int>> match_corners(const ViewFeatures& prev, const ViewFeatures& cur);
 
-// Moves the current position of each match onto the surroundings of the previous corner (track_patch) and takes its
-// disparity anew. Matches that move by more than half a patch or lose their disparity are dropped.
+// Moves the current position of a match onto the surroundings of the previous corner (track_patch) and takes its
+// disparity anew. cur_from_prev: how the surroundings appear turned and scaled in the current view. Nothing if it moves
+// by more than half a patch or loses its disparity.
+std::optional<Correspondence> refined_match(int prev_corner, int cur_corner, const Eigen::Matrix2d& cur_from_prev,
+                                            const ViewFeatures& prev, const ViewFeatures& cur,
+                                            const RectifiedCamera& camera, const ScsOptions& options);
+
+// Those of the matches that can be refined, neither turned nor scaled.
 std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>>& matches, const ViewFeatures& prev,
-                                           const ViewFeatures& cur, int turns, const RectifiedCamera& camera,
+                                           const ViewFeatures& cur, const RectifiedCamera& camera,
                                            const ScsOptions& options);
 
 // Looks for every corner of the previous view where a motion predicts it in the current one, its surroundings turned

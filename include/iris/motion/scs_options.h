@@ -18,10 +18,13 @@ struct ScsOptions {
   // Correspondences (5.3.2).
   std::string compare = "rank";  // how surroundings are compared: rank|sad; sad is there for fig. 5.5
   double max_refinement =
-      1.5;                    // [px] matches whose refinement moves further are used only if the others do not suffice
-  bool quarter_turns = true;  // after a failure, also try the current view turned by 90, 180 and 270 degrees
-  bool predict = true;        // look for all corners again where the first motion predicts them
+      1.5;               // [px] matches whose refinement moves further are used only if the others do not suffice
+  bool any_roll = true;  // after a failure, compare surroundings turned by any angle and scaled by depth
+  bool predict = true;   // look for all corners again where the first motion predicts them
   double min_similarity = 0.8;  // correlation coefficient of a corner's surroundings that were found by prediction
+  // Confirmation by the whole views, with `predict` only.
+  double min_support = 0.18;        // part of the corners expected to be seen again that must be found
+  double max_contradiction = 0.15;  // points that the other view looks through, part of those it shows; times support
   // Consistency (5.3.3).
   double max_turn = 45.0;  // [deg] largest rotation between the views (theta of 5.3)
   double ambiguity = 0.7;  // a second set at least this part as large, with another motion, makes the result ambiguous

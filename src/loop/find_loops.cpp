@@ -113,6 +113,35 @@ std::vector<Candidate> joined(std::vector<Candidate> all, const std::vector<Cand
   return all;
 }
 
+// Which of the failed candidates are worth the time that SIFT takes: the best few of each view, unless both views have
+// loops already. Ascending.
+std::vector<int> worth_rescue(const std::vector<Candidate>& candidates, const std::vector<LoopEdge>& edges) {
+  constexpr int kEnough = 2, kAttempts = 3;  // loops, attempts of a view
+  std::map<int, int> loops, attempts;
+  std::vector<int> failed;
+  for (size_t c = 0; c < edges.size(); ++c) {
+    if (edges[c].verdict == LoopVerdict::accepted) ++loops[edges[c].i], ++loops[edges[c].j];
+    if (edges[c].verdict == LoopVerdict::no_motion || edges[c].verdict == LoopVerdict::too_few_pairs) {
+      failed.push_back(static_cast<int>(c));
+    }
+  }
+  // What poses predict first, then what looks alike.
+  std::stable_sort(failed.begin(), failed.end(), [&](int a, int b) {
+    const Candidate &x = candidates[a], &y = candidates[b];
+    return x.source != y.source ? x.source == Candidate::Source::overlap : x.score > y.score;
+  });
+  std::vector<int> chosen;
+  for (const int c : failed) {
+    const auto [i, j] = std::pair(candidates[c].i, candidates[c].j);
+    if (loops[i] >= kEnough && loops[j] >= kEnough) continue;
+    if (attempts[i] >= kAttempts || attempts[j] >= kAttempts) continue;
+    ++attempts[i], ++attempts[j];
+    chosen.push_back(c);
+  }
+  std::sort(chosen.begin(), chosen.end());
+  return chosen;
+}
+
 }  // namespace
 
 std::vector<LoopEdge> find_loops(const PoseGraph& graph, const std::vector<int>& view_frames, const ViewAccess& view,
@@ -152,39 +181,39 @@ std::vector<LoopEdge> find_loops(const PoseGraph& graph, const std::vector<int>&
     candidates = joined(std::move(candidates), appearance_candidates(index, sketches, odometry, camera, options));
   }
 
-  // Candidates in their order: neighbours share their first view and mostly places.
   const int count = static_cast<int>(candidates.size());
   std::vector<LoopEdge> edges(candidates.size());
   FeatureCache cache(view, camera, loop_scs, static_cast<size_t>(options.cache_mb) << 20);
-  for (int block = 0; block < count; block += kBlock) {
-    ask(control);
-    const int end = std::min(count, block + kBlock);
-    for (const bool sift : {false, true}) {
-      std::vector<int> members;
-      for (int c = block; c < end; ++c) {
-        const bool fails = edges[c].verdict == LoopVerdict::no_motion || edges[c].verdict == LoopVerdict::too_few_pairs;
-        if (!sift || (options.rescue && fails)) {
-          members.push_back(c);
-        }
-      }
+  // Candidates in their order: neighbours share their first view and mostly places.
+  const auto verify_all = [&](const std::vector<int>& members, bool sift) {
+    const int size = static_cast<int>(members.size());
+    for (int block = 0; block < size; block += kBlock) {
+      ask(control);
+      const int end = std::min(size, block + kBlock);
       std::vector<int> frames;
-      for (const int c : members) frames.insert(frames.end(), {candidates[c].i, candidates[c].j});
+      for (int m = block; m < end; ++m) {
+        frames.insert(frames.end(), {candidates[members[m]].i, candidates[members[m]].j});
+      }
       std::sort(frames.begin(), frames.end());
       frames.erase(std::unique(frames.begin(), frames.end()), frames.end());
       cache.require(frames, sift);
-      parallel_chunks(0, static_cast<int>(members.size()), 1, [&](int m, int) {
+      parallel_chunks(block, end, 1, [&](int m, int) {
         const Candidate& c = candidates[members[m]];
         LoopEdge& edge = edges[members[m]];
-        if (sift) {
-          const LoopEdge rescued = verify(c, cache.rescue(c.i), cache.rescue(c.j), camera, loop_scs, options);
-          if (rescued.used >= edge.used) edge = rescued;
-        } else {
+        if (!sift) {
           edge = verify(c, cache.features(c.i), cache.features(c.j), camera, loop_scs, options);
+          return;
         }
+        const LoopEdge rescued = verify(c, cache.rescue(c.i), cache.rescue(c.j), camera, loop_scs, options);
+        if (rescued.used >= edge.used) edge = rescued;
       });
+      if (control.progress) control.progress(end, size);
     }
-    if (control.progress) control.progress(end, count);
-  }
+  };
+  std::vector<int> all(candidates.size());
+  for (int c = 0; c < count; ++c) all[c] = c;
+  verify_all(all, /*sift=*/false);
+  if (options.rescue) verify_all(worth_rescue(candidates, edges), /*sift=*/true);
   judge_consistency(edges, odometry, options);
   return edges;
 }

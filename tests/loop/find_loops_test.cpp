@@ -28,10 +28,11 @@ struct Session {
   PoseGraph graph;
   std::vector<int> frames;
 
-  Session(const simulate::Scene& scene, const SimulatedPath& path, int count, std::vector<int> breaks = {}) {
+  Session(const simulate::Scene& scene, const SimulatedPath& path, int count, const std::vector<int>& breaks = {}) {
     SimulateOptions options;
-    options.width = 400;
-    options.height = 300;
+    options.width = 320;
+    options.height = 240;
+    options.rays = 1;
     options.frames = count;
     options.lens = "ideal";
     options.exposure = 0;
@@ -95,7 +96,7 @@ int accepted(const std::vector<LoopEdge>& edges) {
       std::count_if(edges.begin(), edges.end(), [](const LoopEdge& e) { return e.verdict == LoopVerdict::accepted; }));
 }
 
-// Twice around a circle in the seminar room, looking outwards; 10 views a lap would be too sparse to match.
+// Twice around a circle in the seminar room, looking outwards.
 const Session& two_rounds() {
   static const Session session = [] {
     const simulate::Scene scene = simulate::make_scene("seminar-room", 1);
@@ -106,7 +107,7 @@ const Session& two_rounds() {
       const double radius = t < 6 ? 0.6 : 0.7;
       return testing::level_camera(centre + Eigen::Vector3d(radius * std::cos(a), radius * std::sin(a), 0.02 * t), a);
     };
-    return Session(scene, path, 60);
+    return Session(scene, path, 44);
   }();
   return session;
 }
@@ -114,36 +115,44 @@ const Session& two_rounds() {
 TEST(FindLoops, FindsTheSecondRound) {
   const Session& session = two_rounds();
   const std::vector<LoopEdge> edges = session.loops({});
-  ASSERT_GE(accepted(edges), 30);
-  std::vector<char> closed(60, 0);
+  ASSERT_GE(accepted(edges), 20);
+  std::vector<char> closed(44, 0);
+  std::vector<double> shifts, turns;
   for (const LoopEdge& e : edges) {
     EXPECT_LT(e.i, e.j);
     EXPECT_GE(e.j - e.i, LoopOptions().min_gap);
     if (e.verdict != LoopVerdict::accepted) continue;
     closed[e.i] = closed[e.j] = 1;
     const auto [shift, turn] = session.errors_of(e);
-    EXPECT_LT(shift, 0.03) << e.i << " " << e.j;
-    EXPECT_LT(turn, 0.01) << e.i << " " << e.j;
+    shifts.push_back(shift);
+    turns.push_back(turn);
+    EXPECT_LT(shift, 0.1) << e.i << " " << e.j;
+    EXPECT_LT(turn, 0.03) << e.i << " " << e.j;
     EXPECT_GE(e.used, LoopOptions().min_used);
   }
-  EXPECT_GE(std::count(closed.begin(), closed.end(), 1), 50);
+  EXPECT_GE(std::count(closed.begin(), closed.end(), 1), 33);
+  // At 240 rows and f = 190 px, 0.1 px of noise in the disparity are 1.4 cm of depth 3 m away.
+  std::nth_element(shifts.begin(), shifts.begin() + shifts.size() / 2, shifts.end());
+  std::nth_element(turns.begin(), turns.begin() + turns.size() / 2, turns.end());
+  EXPECT_LT(shifts[shifts.size() / 2], 0.014);
+  EXPECT_LT(turns[turns.size() / 2], 0.005);
 }
 
 TEST(FindLoops, JoinsTwoSubmapsByTheirLooks) {
   Session session = two_rounds();
-  std::erase_if(session.graph.edges, [](const PoseEdge& e) { return e.j == 30; });
-  const Pose first = session.graph.nodes[30].world_from_cam;
-  for (size_t k = 30; k < 60; ++k) {
+  std::erase_if(session.graph.edges, [](const PoseEdge& e) { return e.j == 22; });
+  const Pose first = session.graph.nodes[22].world_from_cam;
+  for (size_t k = 22; k < 44; ++k) {
     session.graph.nodes[k].submap = 1;
     session.graph.nodes[k].world_from_cam = first.inverse() * session.graph.nodes[k].world_from_cam;
   }
   int across = 0;
   for (const LoopEdge& e : session.loops({})) {
     if (e.verdict != LoopVerdict::accepted) continue;
-    across += e.i < 30 && e.j >= 30;
-    EXPECT_LT(session.errors_of(e).first, 0.03) << e.i << " " << e.j;
+    across += e.i < 22 && e.j >= 22;
+    EXPECT_LT(session.errors_of(e).first, 0.1) << e.i << " " << e.j;
   }
-  EXPECT_GE(across, 15);
+  EXPECT_GE(across, 10);
 }
 
 TEST(FindLoops, IsTheSameForAnyNumberOfThreadsAndAnyCache) {
@@ -230,7 +239,7 @@ SimulatedPath along_the_corridor(double metres) {
 }
 
 TEST(FindLoops, IsNotFooledByACorridorOfEqualDoors) {
-  const Session session(corridor_of_equal_doors(), along_the_corridor(16), 65);
+  const Session session(corridor_of_equal_doors(), along_the_corridor(10), 40);
   LoopOptions options;
   options.min_gap = 5;
   int fooled = 0;
@@ -241,16 +250,17 @@ TEST(FindLoops, IsNotFooledByACorridorOfEqualDoors) {
       EXPECT_LT(error, 0.05) << e.i << " " << e.j;
     }
   }
-  RecordProperty("false_motions", fooled);
+  // Two views alone cannot tell: what rejects these is odometry.
+  EXPECT_GE(fooled, 5);
 }
 
 // The same without odometry between the two halves: nothing but the number of doors tells how they lie.
 TEST(FindLoops, DoesNotJoinSubmapsThatFitInSeveralWays) {
-  const Session session(corridor_of_equal_doors(), along_the_corridor(16), 65, {32});
+  const Session session(corridor_of_equal_doors(), along_the_corridor(10), 40, {20});
   LoopOptions options;
   options.min_gap = 5;
   for (const LoopEdge& e : session.loops(options)) {
-    if (e.i < 32 && e.j >= 32 && e.verdict == LoopVerdict::accepted) {
+    if (e.i < 20 && e.j >= 20 && e.verdict == LoopVerdict::accepted) {
       EXPECT_LT(session.errors_of(e).first, 0.05) << e.i << " " << e.j;
     }
   }

@@ -11,7 +11,8 @@
 namespace iris::loop {
 
 struct FindLoopsControl {
-  std::function<void(int done, int total)> progress;  // of views described, then of candidates verified; may be empty
+  std::function<void(int done, int total)> progress;  // of views described, of candidates compared, then of those
+                                                      // compared again with SIFT; may be empty
   std::function<bool()> stopped;                      // asked now and then; true: Interrupted is thrown; may be empty
 };
 

@@ -193,8 +193,6 @@ const char* name_of(LoopVerdict verdict) {
 motion::ScsOptions loop_motion_options(const motion::ScsOptions& scs, const LoopOptions& options) {
   motion::ScsOptions result = scs;
   result.max_turn = options.max_turn;
-  // Without a limit of the turn the consistency test is the same for all quarter turns, and SIFT bears them.
-  result.quarter_turns = scs.quarter_turns && !(options.rescue && options.max_turn >= 135);
   return result;
 }
 

@@ -36,7 +36,7 @@ TEST(TrackPatch, FindsAKnownPlaceToAFractionOfAPixel) {
   const cv::Mat1b from = textured(at, Eigen::Matrix2d::Identity(), 1, 0, 0, 1);
   for (const Eigen::Vector2d& place : {Eigen::Vector2d(44.9, 40.1), Eigen::Vector2d(41.25, 36.75)}) {
     const cv::Mat1b to = textured(place, Eigen::Matrix2d::Identity(), 1, 0, 0, 1);
-    const PatchTrack track = track_patch(from, at, to, place + Eigen::Vector2d(1.3, -0.8), Eigen::Matrix2d::Identity());
+    const PatchTrack track = track_patch(from, at, to, place + Eigen::Vector2d(1.3, -0.8), Eigen::Matrix2d(Eigen::Matrix2d::Identity()));
     ASSERT_TRUE(track.found);
     EXPECT_LT((track.position - place).norm(), 0.03);  // rounding to grey levels and bilinear sampling
     EXPECT_GT(track.similarity, 0.99);
@@ -63,7 +63,7 @@ TEST(TrackPatch, IgnoresBrightnessAndIsUnbiasedUnderNoise) {
   for (int i = 0; i < kTrials; ++i) {
     const cv::Mat1b from = textured(at, Eigen::Matrix2d::Identity(), 0.6, 20, 3, 2 * i + 1);
     const cv::Mat1b to = textured(place, Eigen::Matrix2d::Identity(), 0.6, 60, 3, 2 * i + 2);
-    const PatchTrack track = track_patch(from, at, to, place, Eigen::Matrix2d::Identity());
+    const PatchTrack track = track_patch(from, at, to, place, Eigen::Matrix2d(Eigen::Matrix2d::Identity()));
     ASSERT_TRUE(track.found);
     EXPECT_LT((track.position - place).norm(), 0.3);
     mean += (track.position - place) / kTrials;
@@ -84,7 +84,7 @@ TEST(TrackPatch, GivesUpWhereNothingCanBeFollowed) {
     EXPECT_FALSE(track_patch(image, outside, image, at, none).found);
     EXPECT_FALSE(track_patch(image, at, image, outside, none).found);
   }
-  EXPECT_FALSE(track_patch(image, at, image, at, Eigen::Matrix2d::Zero()).found);
+  EXPECT_FALSE(track_patch(image, at, image, at, Eigen::Matrix2d(Eigen::Matrix2d::Zero())).found);
   // The largest sums that pixels can give: squares of black and white.
   cv::Mat1b black_and_white(80, 90);
   for (int y = 0; y < 80; ++y)

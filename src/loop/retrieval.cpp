@@ -102,6 +102,7 @@ cv::Mat1b describe(const cv::Mat1b& image, int count) {
   cv::Mat descriptors;
   orb->detectAndCompute(image, cv::noArray(), keypoints, descriptors);
   IRIS_CHECK(descriptors.empty() || (descriptors.type() == CV_8UC1 && descriptors.cols == kDescriptorBytes));
+  if (descriptors.empty()) return descriptors;  // a bare wall; OpenCV gives it no columns
   return descriptors.rowRange(0, std::min(descriptors.rows, count));
 }
 

@@ -190,38 +190,42 @@ using TagOf = typename LanesOf<T>::Tag;
 template <class T>
 inline constexpr T kNothing = static_cast<T>(-1);  // window or cost of what does not exist
 
-// The lowest lanes of kGroup vectors, in pairs of pairs so that each step halves what remains. destroys `v`.
-HWY_INLINE void lowest_lanes(Vec16* v, uint16_t* HWY_RESTRICT out) {
+// The lowest lanes of kGroup vectors, in the low bits of numbers in memory: [i] for vector i.
+class LowestLanes {
+ public:
+  // Each step halves what remains of two vectors and puts it into one, or of one.
+  HWY_INLINE explicit LowestLanes(Vec16* v) {
 #if HWY_TARGET == HWY_SCALAR
-  for (int i = 0; i < kGroup; ++i) out[i] = hn::GetLane(v[i]);
+    for (int i = 0; i < kGroup; ++i) at_[i] = hn::GetLane(v[i]);
 #else
-  const Tag16 d16;
-  const hn::Repartition<uint64_t, Tag16> d64;
-  constexpr bool kTwoBlocks = hn::MaxLanes(Tag16()) > 8;
-  int n = kGroup;
-  if constexpr (kTwoBlocks) {  // pixels i and i + n in the two halves
-    n /= 2;
-    for (int i = 0; i < n; ++i) {
-      v[i] = hn::Min(hn::ConcatLowerLower(d16, v[i + n], v[i]), hn::ConcatUpperUpper(d16, v[i + n], v[i]));
+    const Tag16 d16;
+    const hn::Repartition<uint64_t, Tag16> d64;
+    int n = kGroup;
+    if constexpr (kTwoBlocks) {  // vectors i and i + n
+      n /= 2;
+      for (int i = 0; i < n; ++i) {
+        v[i] = hn::Min(hn::ConcatLowerLower(d16, v[i + n], v[i]), hn::ConcatUpperUpper(d16, v[i + n], v[i]));
+      }
     }
-  }
-  for (int i = 0; i < n; i += 2) {
-    const auto a = hn::BitCast(d64, v[i]), b = hn::BitCast(d64, v[i + 1]);
-    auto low =
-        hn::Min(hn::BitCast(d16, hn::InterleaveLower(d64, a, b)), hn::BitCast(d16, hn::InterleaveUpper(d64, a, b)));
-    low = hn::Min(low, hn::BitCast(d16, hn::ShiftRight<32>(hn::BitCast(d64, low))));
-    low = hn::Min(low, hn::BitCast(d16, hn::ShiftRight<16>(hn::BitCast(d64, low))));
-    alignas(2 * kMaxLanes) uint64_t pixels[kMaxLanes / 4];
-    hn::Store(hn::BitCast(d64, low), d64, pixels);
-    out[i] = static_cast<uint16_t>(pixels[0]);
-    out[i + 1] = static_cast<uint16_t>(pixels[1]);
-    if constexpr (kTwoBlocks) {
-      out[i + n] = static_cast<uint16_t>(pixels[2]);
-      out[i + 1 + n] = static_cast<uint16_t>(pixels[3]);
+    for (int i = 0; i < n; i += 2) {
+      const auto a = hn::BitCast(d64, v[i]), b = hn::BitCast(d64, v[i + 1]);
+      auto low =
+          hn::Min(hn::BitCast(d16, hn::InterleaveLower(d64, a, b)), hn::BitCast(d16, hn::InterleaveUpper(d64, a, b)));
+      low = hn::Min(low, hn::BitCast(d16, hn::ShiftRight<32>(hn::BitCast(d64, low))));
+      low = hn::Min(low, hn::BitCast(d16, hn::ShiftRight<16>(hn::BitCast(d64, low))));
+      hn::Store(hn::BitCast(d64, low), d64, at_ + (kTwoBlocks ? 2 * i : i));
     }
-  }
 #endif
-}
+  }
+  HWY_INLINE uint16_t operator[](int i) const {
+    return static_cast<uint16_t>(at_[kTwoBlocks ? (i & 1) | ((i & 4) >> 1) | ((i & 2) << 1) : i]);
+  }
+
+ private:
+  static constexpr bool kTwoBlocks = hn::MaxLanes(Tag16()) > 8;
+  static_assert(kGroup == 8);
+  alignas(64) uint64_t at_[kGroup];
+};
 
 // What remains of the costs of one pixel: for each lane the lowest two and the candidate of the lowest.
 template <class T>
@@ -280,23 +284,8 @@ class Combination {
   Vector best_, second_, best_d_, d_, step_;
 };
 
-// Of kGroup pixels: the lowest costs and the smallest candidates that have them; any if there is none.
-HWY_INLINE void find_winners(const Lowest<uint16_t>* lowest, uint16_t* HWY_RESTRICT cost,
-                             uint16_t* HWY_RESTRICT winner) {
-  const Tag16 d;
-  const auto none = hn::Set(d, kNothing<uint16_t>);
-  Vec16 v[kGroup];
-  for (int i = 0; i < kGroup; ++i) v[i] = hn::Load(d, lowest[i].best);
-  lowest_lanes(v, cost);
-  for (int i = 0; i < kGroup; ++i) {
-    const auto wins = hn::Eq(hn::Load(d, lowest[i].best), hn::Set(d, cost[i]));
-    v[i] = hn::IfThenElse(wins, hn::Load(d, lowest[i].best_d), none);
-  }
-  lowest_lanes(v, winner);
-}
-
-// The same of second minima (3.4). The winner and its neighbours are in different lanes: in each of the three, it is
-// the second lowest cost that counts if the lowest is that of the winner or its neighbour.
+// Second minima (3.4): their lowest lane is the second minimum. The winner and its neighbours are in different lanes:
+// in each of the three, it is the second lowest cost that counts if the lowest is that of the winner or its neighbour.
 template <class T>
 HWY_INLINE hn::Vec<TagOf<T>> rivals(const Lowest<T>& lowest, T winner) {
   const TagOf<T> d;
@@ -305,38 +294,52 @@ HWY_INLINE hn::Vec<TagOf<T>> rivals(const Lowest<T>& lowest, T winner) {
   const auto near = hn::Eq(hn::Min(away, hn::Set(d, T{1})), away);
   return hn::IfThenElse(near, hn::Load(d, lowest.second), hn::Load(d, lowest.best));
 }
-HWY_INLINE void find_seconds(const Lowest<uint16_t>* lowest, const uint16_t* winner, uint16_t* HWY_RESTRICT second) {
-  Vec16 v[kGroup];
-  for (int i = 0; i < kGroup; ++i) v[i] = rivals(lowest[i], winner[i]);
-  lowest_lanes(v, second);
-}
 
+// Of kGroup pixels: the lowest costs, the smallest candidates that have them (0 if there is none), the second minima.
+template <class T>
+struct Selected {
+  T cost[kGroup], winner[kGroup], second[kGroup];
+};
+HWY_INLINE void find_lowest(const Lowest<uint16_t>* lowest, Selected<uint16_t>* HWY_RESTRICT to) {
+  const Tag16 d;
+  const auto none = hn::Set(d, kNothing<uint16_t>);
+  Vec16 v[kGroup];
+  for (int i = 0; i < kGroup; ++i) v[i] = hn::Load(d, lowest[i].best);
+  const LowestLanes costs(v);
+  for (int i = 0; i < kGroup; ++i) {
+    const auto wins = hn::Eq(hn::Load(d, lowest[i].best), hn::Set(d, costs[i]));
+    v[i] = hn::IfThenElse(wins, hn::Load(d, lowest[i].best_d), none);
+  }
+  const LowestLanes winners(v);
+  for (int i = 0; i < kGroup; ++i) {
+    to->cost[i] = costs[i];
+    to->winner[i] = costs[i] == kNothing<uint16_t> ? 0 : winners[i];
+    v[i] = rivals(lowest[i], to->winner[i]);
+  }
+  const LowestLanes seconds(v);
+  for (int i = 0; i < kGroup; ++i) to->second[i] = seconds[i];
+}
 #if HWY_TARGET != HWY_SCALAR
-HWY_INLINE void find_winners(const Lowest<uint8_t>* lowest, uint16_t* HWY_RESTRICT cost,
-                             uint16_t* HWY_RESTRICT winner) {
+HWY_INLINE void find_lowest(const Lowest<uint8_t>* lowest, Selected<uint8_t>* HWY_RESTRICT to) {
   const Tag8 d;
   const Tag16 d16;
+  const auto low_byte = hn::Set(d16, uint16_t{255});
   Vec16 v[kGroup];
-  for (int i = 0; i < kGroup; ++i) {  // both in one number
+  for (int i = 0; i < kGroup; ++i) {  // cost and candidate in one number
     const auto best = hn::Load(d, lowest[i].best), best_d = hn::Load(d, lowest[i].best_d);
     v[i] = hn::Min(hn::BitCast(d16, hn::InterleaveLower(d, best_d, best)),
                    hn::BitCast(d16, hn::InterleaveUpper(d, best_d, best)));
   }
-  lowest_lanes(v, winner);
+  const LowestLanes both(v);
   for (int i = 0; i < kGroup; ++i) {
-    cost[i] = winner[i] >> 8;
-    winner[i] &= 255;
-  }
-}
-HWY_INLINE void find_seconds(const Lowest<uint8_t>* lowest, const uint16_t* winner, uint16_t* HWY_RESTRICT second) {
-  const Tag16 d16;
-  const auto low_byte = hn::Set(d16, uint16_t{255});
-  Vec16 v[kGroup];
-  for (int i = 0; i < kGroup; ++i) {
-    const auto pairs = hn::BitCast(d16, rivals(lowest[i], static_cast<uint8_t>(winner[i])));
+    const uint16_t value = both[i];
+    to->cost[i] = static_cast<uint8_t>(value >> 8);
+    to->winner[i] = static_cast<uint8_t>(value >= 0xFF00 ? 0 : value);
+    const auto pairs = hn::BitCast(d16, rivals(lowest[i], to->winner[i]));
     v[i] = hn::Min(hn::And(pairs, low_byte), hn::ShiftRight<8>(pairs));
   }
-  lowest_lanes(v, second);
+  const LowestLanes seconds(v);
+  for (int i = 0; i < kGroup; ++i) to->second[i] = static_cast<uint8_t>(seconds[i]);
 }
 #endif
 
@@ -345,41 +348,47 @@ struct OutputRows {
   uint16_t *winner, *cost, *second, *before, *after;
 };
 
-// The pixels x … x + n - 1 of a group.
+// kGroup values.
+using TagOut = hn::CappedTag<uint16_t, kGroup>;
+HWY_INLINE hn::Vec<TagOut> load_out(const uint16_t* values) { return hn::LoadU(TagOut(), values); }
+HWY_INLINE hn::Vec<TagOut> load_out(const uint8_t* values) {
+  return hn::PromoteTo(TagOut(), hn::LoadU(hn::Rebind<uint8_t, TagOut>(), values));
+}
+
+// The pixels x … x + n - 1 of a group, with costs at so many candidates.
 template <class T>
-HWY_INLINE void select(const Lowest<T>* lowest, const T* costs, ptrdiff_t cost_stride, int x, int n,
-                       const OutputRows& to) {
-  const hn::CappedTag<uint16_t, kGroup> d;
-  uint16_t winner[kGroup], cost[kGroup], second[kGroup], before[kGroup], after[kGroup];
-  find_winners(lowest, cost, winner);
-  for (int i = 0; i < kGroup; ++i) winner[i] = cost[i] == kNothing<T> ? 0 : winner[i];
-  if (hn::Lanes(Tag16()) < 3) {
-    for (int i = 0; i < n; ++i) {
-      second[i] = kNothing<T>;
-      for (int k = 0; k < cost_stride - 4 * kMaxLanes; ++k) {
-        if (std::abs(k - winner[i]) > 1) second[i] = std::min<uint16_t>(second[i], costs[cost_stride * i + k]);
-      }
-    }
-  } else {
-    find_seconds(lowest, winner, second);
-  }
+HWY_NOINLINE void select(const Lowest<T>* lowest, const T* costs, ptrdiff_t cost_stride, int candidates, int x, int n,
+                         const OutputRows& to) {
+  const TagOut d;
+  Selected<T> selected;
+  find_lowest(lowest, &selected);
+  T before[kGroup], after[kGroup];
   for (int i = 0; i < kGroup; ++i) {
-    const T* const at_winner = costs + cost_stride * i + winner[i];
+    const T* const at_winner = costs + cost_stride * i + selected.winner[i];
     before[i] = at_winner[-1];
     after[i] = at_winner[1];
   }
-  const auto write = [&](const uint16_t* value, const uint16_t* known, uint16_t* out) HWY_ATTR {
-    uint16_t wide[kGroup];
-    uint16_t* const at = n == kGroup ? out + x : wide;
-    for (int i = 0; i < kGroup; i += static_cast<int>(hn::Lanes(d))) {
-      const auto exists = hn::Ne(hn::LoadU(d, known + i), hn::Set(d, uint16_t{kNothing<T>}));
-      hn::StoreU(hn::IfThenElse(exists, hn::LoadU(d, value + i), hn::Set(d, Correlation::kNone)), d, at + i);
+  if (hn::Lanes(Tag16()) < 3) {  // too few for rivals()
+    for (int i = 0; i < kGroup; ++i) {
+      selected.second[i] = kNothing<T>;
+      for (int k = 0; k < candidates; ++k) {
+        const T cost = costs[cost_stride * i + k];
+        if (std::abs(k - selected.winner[i]) > 1) selected.second[i] = std::min(selected.second[i], cost);
+      }
     }
-    if (n < kGroup) std::copy_n(wide, n, out + x);
+  }
+  const auto write = [&](const T* value, const T* known, uint16_t* out) HWY_ATTR {
+    uint16_t few[kGroup];
+    uint16_t* const at = n == kGroup ? out + x : few;
+    for (int i = 0; i < kGroup; i += static_cast<int>(hn::Lanes(d))) {
+      const auto exists = hn::Ne(load_out(known + i), hn::Set(d, uint16_t{kNothing<T>}));
+      hn::StoreU(hn::IfThenElse(exists, load_out(value + i), hn::Set(d, Correlation::kNone)), d, at + i);
+    }
+    if (n < kGroup) std::copy_n(few, n, out + x);
   };
-  write(winner, cost, to.winner);
-  write(cost, cost, to.cost);
-  write(second, second, to.second);
+  write(selected.winner, selected.cost, to.winner);
+  write(selected.cost, selected.cost, to.cost);
+  write(selected.second, selected.second, to.second);
   write(before, before, to.before);
   write(after, after, to.after);
 }
@@ -728,7 +737,7 @@ void correlate_rows(const CorrelationBlock& block) {
           combination.store(&lowest[x - group]);
         }
         for (int i = group_end - group; i < kGroup; ++i) std::fill_n(costs + cost_stride * i, stride, kNothing<T>);
-        select(lowest, costs, cost_stride, group, group_end - group, out);
+        select(lowest, costs, cost_stride, static_cast<int>(stride), group, group_end - group, out);
         const int end = candidates_end[group_end - 1];
         const ptrdiff_t at = right_stride * (y - block.y0) + right_origin - group + p.min_disparity;
         search_right(costs, cost_stride, group, end, &right_best[at], &right_x[at]);
@@ -821,7 +830,7 @@ void correlate(const MatchImage& left, const MatchImage& right, const Correlatio
   }
   IRIS_CHECK(p.disparities > 0 && p.window_width % 2 == 1 && p.window_height % 2 == 1);
   IRIS_CHECK(p.cap >= 0 && p.cap <= largest_cap(p.window_width, p.window_height, census));
-  constexpr int kRowsPerBlock = 64;  // at most; an even number of blocks of equal height occupies two threads best
+  constexpr int kRowsPerBlock = 96;  // at most; an even number of blocks of equal height occupies two threads best
   const int blocks = 2 * ((size.height + 2 * kRowsPerBlock - 1) / (2 * kRowsPerBlock));
   const int rows_per_block = (size.height + blocks - 1) / blocks;
   constexpr int kCacheBytes = 480 << 10;  // of the windows and pixels, the largest part of what a tile needs

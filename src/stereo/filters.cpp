@@ -1,12 +1,9 @@
 #include "filters.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstring>
-#include <functional>
 #include <numeric>
-#include <utility>
 
 #include "iris/core/parallel.h"
 
@@ -14,22 +11,6 @@ namespace iris::stereo {
 namespace {
 
 constexpr int kRowsPerChunk = 32;
-
-}  // namespace
-
-void reject_one_sided(const cv::Mat1w& right_winner, int min_disparity, double tolerance, cv::Mat1w& winner) {
-  const int largest = static_cast<int>(std::floor(tolerance));
-  for (int y = 0; y < winner.rows; ++y) {
-    const uint16_t* from_right = right_winner[y];
-    uint16_t* w = winner[y];
-    for (int x = 0; x < winner.cols; ++x) {
-      const int partner = w[x] == Correlation::kNone ? 0 : x - min_disparity - w[x];
-      w[x] = std::abs(from_right[partner] - w[x]) > largest ? Correlation::kNone : w[x];
-    }
-  }
-}
-
-namespace {
 
 // Compilers turn such loops into vectors: nothing that they read can change while they write, and no floating-point
 // operation depends on a condition.
@@ -43,115 +24,6 @@ void find_joints(const float* __restrict d, int width, float step, uint8_t* __re
 }
 
 }  // namespace
-
-namespace {
-
-constexpr int kPhases = 64;  // per pixel of disparity, for the estimate of the pull
-
-// Phases of disparities between whole pixels, -1/2 … 1/2, as indices 0 … steps; steps + 1 for pixels without disparity
-// and for the smallest disparity, which stands for infinity. Turned into vectors, as above.
-void phase_indices(const uint16_t* w, const float* d, int width, int min_disparity, int steps, int* __restrict index) {
-  for (int x = 0; x < width; ++x) {
-    const float phase = d[x] - static_cast<float>(w[x] + min_disparity) + 0.5f;
-    const int nearest = static_cast<int>(phase * static_cast<float>(steps) + 0.5f);
-    const int inside = static_cast<int>(phase >= 0) & static_cast<int>(phase <= 1);
-    index[x] = (nearest & -inside) + (steps + 1) * (1 - inside);
-  }
-}
-
-// A of equalise().
-double estimate_pull(const cv::Mat1w& winner, int min_disparity, const cv::Mat1f& disparity) {
-  constexpr double kLowest = -0.06, kHighest = 0.13;  // beyond these it is not texture that causes them
-  // Of the phases of each whole disparity, one a chunk of rows. The last bin takes what does not count, as does the
-  // first histogram: pixels without disparity; that of disparity w is the one after w.
-  using Histogram = std::array<int, kPhases + 2>;
-  constexpr int kRowsPerHistogram = 128;
-  std::vector<std::vector<Histogram>> chunks((winner.rows + kRowsPerHistogram - 1) / kRowsPerHistogram);
-  parallel_chunks(0, winner.rows, kRowsPerHistogram, [&](int y0, int y1) {
-    std::vector<Histogram>& histograms = chunks[y0 / kRowsPerHistogram];
-    std::vector<int> index(winner.cols);
-    for (int y = y0; y < y1; ++y) {
-      const uint16_t* w = winner[y];
-      const int width = winner.cols;
-      phase_indices(w, disparity[y], width, min_disparity, kPhases, index.data());
-      uint16_t largest = 0;
-      for (int x = 0; x < width; ++x) largest = std::max(largest, static_cast<uint16_t>(w[x] + 1));
-      if (largest >= histograms.size()) histograms.resize(largest + 1, Histogram{});
-      for (int x = 0; x < width; ++x) ++histograms[static_cast<uint16_t>(w[x] + 1)][index[x]];
-    }
-  });
-  std::vector<Histogram> histograms;
-  for (const std::vector<Histogram>& chunk : chunks) {
-    if (chunk.size() > histograms.size()) histograms.resize(chunk.size(), Histogram{});
-    for (size_t i = 0; i < chunk.size(); ++i) {
-      std::transform(chunk[i].begin(), chunk[i].end(), histograms[i].begin(), histograms[i].begin(), std::plus());
-    }
-  }
-  std::array<double, kPhases + 1> cosines;
-  for (int i = 0; i <= kPhases; ++i) cosines[i] = std::cos(2 * CV_PI * (static_cast<double>(i) / kPhases - 0.5));
-  struct Level {
-    double pixels = 0, cosine = 0;
-  };
-  std::vector<Level> levels;
-  double all = 0;
-  for (size_t i = 1; i < histograms.size(); ++i) {
-    const Histogram& histogram = histograms[i];
-    Level level;
-    for (int k = 0; k <= kPhases; ++k) {
-      level.pixels += histogram[k];
-      level.cosine += histogram[k] * cosines[k];
-    }
-    if (level.pixels == 0) continue;
-    level.cosine /= level.pixels;
-    all += level.pixels;
-    levels.push_back(level);
-  }
-  if (levels.size() < 3) return 0;
-  // A single large plane must not outvote all others.
-  const double most = all / static_cast<double>(levels.size());
-  double weights = 0, mean = 0, squares = 0;
-  for (const Level& level : levels) {
-    weights += std::min(level.pixels, most);
-    mean += std::min(level.pixels, most) * level.cosine;
-  }
-  mean /= weights;
-  for (const Level& level : levels) {
-    const double term = std::min(level.pixels, most) / weights * (level.cosine - mean);
-    squares += term * term;  // of the standard error of the mean
-  }
-  const double trust = mean == 0 ? 0 : std::max(0.0, 1 - squares / (mean * mean));
-  return std::clamp(trust * mean / CV_PI, kLowest, kHighest);
-}
-
-}  // namespace
-
-void equalise(const cv::Mat1w& winner, int min_disparity, cv::Mat1f& disparity) {
-  const double pull = estimate_pull(winner, min_disparity, disparity);
-  if (pull == 0) return;
-  // Correction of a measured phase, tabulated: the p at which p - A sin(2 pi p) is the measured one.
-  constexpr int kTable = 1024;
-  std::array<float, kTable + 2> correction;  // the last one for pixels that stay
-  correction.back() = 0;
-  double phase = -0.5;  // of the measured phase before it, where Newton's method starts
-  for (int i = 0; i <= kTable; ++i) {
-    const double measured = static_cast<double>(i) / kTable - 0.5;
-    for (int k = 0; k < 20; ++k) {  // a few suffice: 2 pi A < 1
-      const double step = (phase - pull * std::sin(2 * CV_PI * phase) - measured) /
-                          (1 - 2 * CV_PI * pull * std::cos(2 * CV_PI * phase));
-      phase -= step;
-      if (std::abs(step) < 1e-10) break;
-    }
-    correction[i] = static_cast<float>(phase - measured);
-  }
-  parallel_chunks(0, winner.rows, kRowsPerChunk, [&](int y0, int y1) {
-    std::vector<int> index(winner.cols);
-    for (int y = y0; y < y1; ++y) {
-      float* d = disparity[y];
-      phase_indices(winner[y], d, winner.cols, min_disparity, kTable, index.data());
-      for (int x = 0; x < winner.cols; ++x) d[x] += correction[index[x]];
-    }
-  });
-}
 
 Segments find_segments(const cv::Mat1f& disparity, double tolerance) {
   // Runs of connected pixels in each row are joined with those of the row above.

@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <optional>
+#include <utility>
+#include <vector>
 
 #include "iris/core/parallel.h"
+#include "iris/motion/agreement.h"
 #include "iris/motion/scs.h"
 #include "thesis/sequence.h"
 #include "thesis/tables.h"
@@ -139,12 +141,66 @@ void print_closed_sequences() {
   }
 }
 
+// Any two views at most `reach` places apart, in either order: how many motions are found and how many of these are
+// wrong, by how much of the one view the other one shows.
+void print_any_pairs(const Sequence& sequence, const stereo::MwmfOptions& stereo, int stride, int reach) {
+  fmt::print("\n### Motions between any two views, {}, {:.1f} fps\n\n", sequence.name, sequence.rate / stride);
+  const ScsOptions options;
+  const std::vector<ViewFeatures> views = features_of(sequence, stereo, options, stride);
+  std::vector<std::pair<size_t, size_t>> pairs;
+  for (size_t i = 0; i < views.size(); ++i) {
+    for (size_t k = i + 1; k < views.size() && k <= i + static_cast<size_t>(reach); ++k) {
+      pairs.push_back(i % 2 == 0 ? std::pair(i, k) : std::pair(k, i));
+    }
+  }
+  struct Outcome {
+    double overlap = 0;  // part of the corners that the other view shows, by the true motion
+    bool found = false, wrong = false;
+  };
+  std::vector<Outcome> outcomes(pairs.size());
+  parallel_chunks(0, static_cast<int>(pairs.size()), 4, [&](int begin, int end) {
+    for (int n = begin; n < end; ++n) {
+      const auto& [i, k] = pairs[static_cast<size_t>(n)];
+      const Pose truth =
+          sequence.truth[i * static_cast<size_t>(stride)].inverse() * sequence.truth[k * static_cast<size_t>(stride)];
+      const MotionEstimate motion = motion::estimate_motion(views[i], views[k], sequence.camera, options);
+      const Pose error = truth.inverse() * motion.prev_from_cur;
+      Outcome& outcome = outcomes[static_cast<size_t>(n)];
+      outcome.overlap = motion::agreement(views[i], views[k], truth, sequence.camera).expected /
+                        std::max(1.0, static_cast<double>(views[i].corners.size()));
+      outcome.found = motion.status == MotionStatus::ok;
+      outcome.wrong = outcome.found && (error.translation().norm() > 0.1 + 0.05 * truth.translation().norm() ||
+                                        rotation_angle(error) * 180 / M_PI > 1.5);
+    }
+  });
+  print_heading({"overlap", "pairs", "found", "of these wrong by more than 0.1 m + 5 % or 1.5°"});
+  constexpr std::array<double, 7> kLimits = {0, 0.02, 0.1, 0.2, 0.3, 0.5, 1.01};
+  for (size_t limit = 0; limit + 1 < kLimits.size(); ++limit) {
+    int all = 0, found = 0, wrong = 0;
+    for (const Outcome& outcome : outcomes) {
+      if (outcome.overlap < kLimits[limit] || outcome.overlap >= kLimits[limit + 1]) continue;
+      ++all, found += outcome.found, wrong += outcome.wrong;
+    }
+    print_row({fmt::format("{:.0f} to {:.0f} %", 100 * kLimits[limit], 100 * std::min(1.0, kLimits[limit + 1])),
+               fmt::format("{}", all), fmt::format("{} ({:.0f} %)", found, 100.0 * found / std::max(1, all)),
+               fmt::format("{}", wrong)});
+  }
+}
+
 }  // namespace
 
 void print_motion_tables() {
   fmt::print("\n## Chapter 5: camera motion\n");
   print_closed_sequences();
-  print_frame_rates(simulate_sequence("seminar-room", arbitrary(25)));
+  const Sequence room = simulate_sequence("seminar-room", arbitrary(25));
+  print_frame_rates(room);
+  print_any_pairs(room, thesis_stereo(), 16, 12);
+  simulate::SimulateOptions walk;
+  walk.rate = 1;
+  stereo::MwmfOptions stereo;
+  stereo.disparities = 128;
+  stereo.interpolation = "off";
+  print_any_pairs(simulate_sequence("apartment", walk), stereo, 1, 1000);
 }
 
 }  // namespace iris::thesis

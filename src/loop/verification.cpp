@@ -69,6 +69,9 @@ void compare_depths(const DisparityImage& from, const DisparityImage& to, const 
 LoopEdge judged(const Candidate& candidate, const motion::TracedMotion& forward, const motion::TracedMotion& backward,
                 const DisparityImage& i, const DisparityImage& j, const RectifiedCamera& camera,
                 const LoopOptions& options) {
+  // More correspondences than this lie so close together that their errors are not independent. Measured on a rendered
+  // apartment: the normalised squared errors of loops with 600 to 1100 correspondences were ten times those of others.
+  constexpr double kIndependent = 200;
   const MotionEstimate& motion = forward.estimate;
   LoopEdge edge{.i = candidate.i, .j = candidate.j, .score = candidate.score, .source = candidate.source};
   edge.consistent = motion.consistent;
@@ -76,7 +79,7 @@ LoopEdge judged(const Candidate& candidate, const motion::TracedMotion& forward,
   edge.verdict = LoopVerdict::no_motion;
   if (motion.status != MotionStatus::ok) return edge;
   edge.i_from_j = motion.prev_from_cur;
-  edge.covariance = motion.covariance;
+  edge.covariance = motion.covariance * std::max(1.0, motion.used / kIndependent);
   edge.rms_px = motion.rms_px;
   edge.used = motion.used;
   edge.verdict = LoopVerdict::too_few_pairs;

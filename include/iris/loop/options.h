@@ -30,7 +30,7 @@ struct LoopOptions {
   double max_chi_square = 22.5;  // of six degrees of freedom: 99.9 % of true ones
   int min_support = 3;           // least number of loops that agree about how two sub-maps lie
   // Resources.
-  int cache_mb = 512;  // [MB] of views that are kept while candidates are verified
+  int cache_mb = 256;  // [MB] of views that are kept while candidates are verified
 
   void declare(OptionSet& set);
 };

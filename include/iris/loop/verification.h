@@ -36,7 +36,7 @@ struct LoopEdge {
   double rms_px = 0;
   double score = 0;  // of the candidate
   Candidate::Source source = Candidate::Source::overlap;
-  bool rescued = false;    // found by SIFT
+  bool rescued = false;    // compared with SIFT
   double spread = 0;       // part of the image that the correspondences cover, of the worse view
   double agreement = 0;    // part of what the two views measured that fits together
   double chi_square = -1;  // of the motion against odometry, six degrees of freedom; -1: odometry does not join them

@@ -49,9 +49,8 @@ Eigen::Matrix3d inverse_left_jacobian(const Eigen::Vector3d& phi) {
   return Eigen::Matrix3d::Identity() - 0.5 * x + factor * x * x;
 }
 
-// The pose after a step (dt, dw), made as a screw about the world's origin: a common step of many poses then moves them
-// as one rigid body, however large it is, and long chains bend without strain. The plain perturbation is its first
-// order.
+}  // namespace
+
 Pose screwed(const Pose& pose, const Vector6d& step) {
   const Eigen::Vector3d w = step.tail<3>(), v = step.head<3>() - w.cross(pose.translation());
   const double angle = w.norm();
@@ -67,8 +66,6 @@ Pose screwed(const Pose& pose, const Vector6d& step) {
   }
   return result;
 }
-
-}  // namespace
 
 Vector6d edge_residual(const Pose& world_from_i, const Pose& world_from_j, const Pose& i_from_j) {
   const Eigen::Matrix3d i_from_world = world_from_i.linear().transpose();

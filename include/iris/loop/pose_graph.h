@@ -59,4 +59,9 @@ struct EdgeJacobians {
 };
 EdgeJacobians edge_jacobians(const Pose& world_from_i, const Pose& world_from_j, const Vector6d& residual);
 
+// The pose after a step (dt, dw), made as a screw about the world's origin: a common step of many poses then moves them
+// as one rigid body, however large it is, and long chains bend without strain. To first order it is the plain
+// perturbation.
+Pose screwed(const Pose& pose, const Vector6d& step);
+
 }  // namespace iris::loop

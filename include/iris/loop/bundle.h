@@ -1,0 +1,82 @@
+// Bundle adjustment: the poses of all stored views and all points that several of them share, so that the images agree
+// best (the image based model of thesis 4.4 over many views at once). It also tells whether the calibration is off.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "iris/core/options.h"
+#include "iris/geometry/rectified_camera.h"
+#include "iris/loop/pose_graph.h"
+#include "iris/motion/scs_options.h"
+#include "iris/types/pose_graph.h"
+#include "iris/types/stereo_view.h"
+
+namespace iris::loop {
+
+struct BundleOptions {
+  int window = 5;            // [stored views] corners of a view are looked for in so many later ones, and in loops
+  int points = 250;          // most points of a view
+  bool calibrate = true;     // correct the disparity offset and the focal length if they are off significantly
+  double min_offset = 0.1;   // [px] a smaller disparity offset is not corrected: matching alone has such errors
+  double min_focal = 0.002;  // [parts] a smaller error of the focal length is not corrected
+  double sigma = 3.0;        // standard deviations are taken this many times as large as residuals say: errors of
+                             // neighbouring views and points go together
+  int max_iterations = 30;
+
+  void declare(OptionSet& set);  // section "loop"
+};
+
+// An estimate with its standard deviation.
+struct Estimated {
+  double value = 0, sigma = 0;
+  bool applied = false;
+};
+
+// What the recording says about its calibration.
+struct CalibrationCorrection {
+  Estimated disparity_offset;  // [px] to be added to measured disparities (RectifiedCamera::disparity_offset)
+  Estimated focal;             // the focal length is larger by this part
+  Estimated roll;              // [rad] of the right camera about the optical axis: disparity grows by roll * (y - cy).
+                               // Never applied, since all disparities would change: calibrate again
+  std::string words;           // for people; empty: too few views to tell
+};
+
+struct BundleResult {
+  bool ok = false;      // false: too few shared points; poses are as they were
+  std::string problem;  // then why
+  // Nodes of the input in their order. Poses of stored views are adjusted, the first one of each sub-map keeps its
+  // pose; between stored views the corrections of both neighbours are blended, in proportion to the way.
+  std::vector<PoseNode> nodes;
+  // Of each node relative to the first stored view of its sub-map; a node that is no stored view moves rigidly with the
+  // nearest one. Perturbation as everywhere: t' = t + dt, R' = exp(dw) R.
+  std::vector<Matrix6d> covariance;
+  CalibrationCorrection calibration;
+  RectifiedCamera camera;  // the input's with what is applied of it
+  int views = 0, points = 0, observations = 0, iterations = 0;
+  double rms_before = 0, rms_after = 0;  // [px] of an image coordinate, robust (1.48 times the median)
+};
+
+// refined: poses, odometry between them and loops; loops that are rejected or end elsewhere than at stored views are
+// left out. view_frames: frame_idx of the stored views, ascending, each a node. view: gives them; called from several
+// threads at once, for a view that takes part in loops again for each of them. Memory does not depend on their number
+// but for the points (about 100 kB a view). Odometry between successive views counts as well, with the errors that
+// `graph` lets expect: it knows the frames in between. The result is the same for any number of threads.
+BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_frames,
+                    const std::function<StereoView(int frame_idx)>& view, const RectifiedCamera& camera,
+                    const BundleOptions& options, const PoseGraphOptions& graph, const motion::ScsOptions& scs);
+
+// One observation: residual (x left, sqrt(2) y, x right) [px], predicted less seen, and its derivatives. `seen`:
+// reconstruct::image_coordinates of the measured point. calibration: disparity offset [px], focal part, roll [rad].
+struct ObservationResidual {
+  bool valid = false;  // the point is before the camera
+  Eigen::Vector3d residual = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d by_point;             // of the point in the world
+  Eigen::Matrix<double, 3, 6> by_pose;  // of the perturbation of world_from_cam
+  Eigen::Matrix<double, 3, 3> by_calibration;
+};
+ObservationResidual observe(const RectifiedCamera& camera, const Pose& world_from_cam, const Eigen::Vector3d& point,
+                            const Eigen::Vector3d& calibration, const Eigen::Vector3d& seen);
+
+}  // namespace iris::loop

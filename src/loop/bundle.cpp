@@ -1,0 +1,800 @@
+#include "iris/loop/bundle.h"
+
+#include <fmt/format.h>
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <limits>
+#include <map>
+#include <opencv2/imgproc.hpp>
+
+#include "iris/core/error.h"
+#include "iris/core/parallel.h"
+#include "iris/loop/block_cholesky.h"
+#include "iris/loop/pose_graph.h"
+#include "iris/motion/correspondences.h"
+#include "iris/motion/minimise.h"
+#include "iris/reconstruct/error_models.h"
+
+namespace iris::loop {
+
+void BundleOptions::declare(OptionSet& set) {
+  set.section("loop");
+  set.add("bundle_window", window, "stored views", 1, 100,
+          "bundle adjustment looks for the corners of a view in so many later ones; more ties the path together better "
+          "and takes longer");
+  set.add("bundle_points", points, "", 20, 4000, "most points a view in bundle adjustment");
+  set.add("calibrate", calibrate,
+          "correct the disparity offset and the focal length when bundle adjustment shows that they are off");
+  set.add("min_offset", min_offset, "px", 0, 10,
+          "a disparity offset below this is not corrected; matching alone has such errors");
+  set.add("min_focal", min_focal, "", 0, 1, "an error of the focal length below this part is not corrected");
+  set.add("bundle_sigma", sigma, "times", 0.1, 100,
+          "standard deviations after bundle adjustment are taken this many times as large as its residuals say");
+  set.add("bundle_iterations", max_iterations, "", 1, 1000, "most iterations of bundle adjustment");
+}
+
+ObservationResidual observe(const RectifiedCamera& camera, const Pose& world_from_cam, const Eigen::Vector3d& point,
+                            const Eigen::Vector3d& calibration, const Eigen::Vector3d& seen) {
+  const Eigen::Matrix3d cam_from_world = world_from_cam.linear().transpose();
+  const Eigen::Vector3d from_cam = point - world_from_cam.translation();
+  const Eigen::Vector3d in_cam = cam_from_world * from_cam;
+  ObservationResidual result;
+  result.valid = in_cam.z() > 0;
+  if (!result.valid) return result;
+  const Eigen::Vector3d projected = reconstruct::image_coordinates(camera, in_cam);
+  const double y = seen.y() * M_SQRT1_2;
+  result.residual = (1 + calibration(1)) * projected - seen;
+  result.residual.z() += calibration(0) + calibration(2) * y;
+  result.by_point = (1 + calibration(1)) * reconstruct::image_jacobian(camera, in_cam) * cam_from_world;
+  result.by_pose << -result.by_point, result.by_point * motion::cross_matrix(from_cam);
+  result.by_calibration.col(0) = Eigen::Vector3d::UnitZ();
+  result.by_calibration.col(1) = projected;
+  result.by_calibration.col(2) = y * Eigen::Vector3d::UnitZ();
+  return result;
+}
+
+namespace {
+
+constexpr int kCalibration = 3;
+constexpr double kWidth = 3;              // [standard deviations] of Cauchy's loss
+constexpr double kScaleOfMedian = 2.366;  // median of the chi-square distribution with three degrees of freedom
+
+struct Observation {
+  int view = 0;
+  Eigen::Vector3d seen;
+};
+
+struct Landmark {
+  int anchor = 0;  // the view whose corner it is
+  std::vector<Observation> observations;
+  Eigen::Vector3d point;  // in the world
+};
+
+// A landmark as a view sees it.
+struct Seen {
+  int landmark = 0;
+  motion::Corner corner;
+};
+
+// Positions of a view that are taken.
+class Occupied {
+ public:
+  Occupied(const RectifiedCamera& camera, int cell)
+      : cell_(cell), taken_(camera.height / cell + 3, camera.width / cell + 3, static_cast<uint8_t>(0)) {}
+  bool near(double x, double y) const {
+    const int row = static_cast<int>(y) / cell_ + 1, column = static_cast<int>(x) / cell_ + 1;
+    for (int v = -1; v <= 1; ++v) {
+      for (int u = -1; u <= 1; ++u) {
+        if (taken_(row + v, column + u)) return true;
+      }
+    }
+    return false;
+  }
+  void take(double x, double y) { taken_(static_cast<int>(y) / cell_ + 1, static_cast<int>(x) / cell_ + 1) = 1; }
+
+ private:
+  int cell_;
+  cv::Mat1b taken_;
+};
+
+cv::Mat1b grey_of(const cv::Mat& image) {
+  if (image.channels() == 1) return image;
+  cv::Mat1b grey;
+  cv::cvtColor(image, grey, cv::COLOR_BGR2GRAY);
+  return grey;
+}
+
+// The stored views as bundle adjustment counts them.
+struct Views {
+  std::vector<int> frames, submaps;
+  std::vector<Pose> poses;
+  std::vector<std::vector<std::pair<int, Pose>>> loops;  // of each view: earlier ones and earlier_from_view
+};
+
+// Landmarks and where they are seen. Each corner that is not yet a landmark becomes one; it is looked for where the
+// poses predict it in the next views, and what a view sees is looked for in the later ends of its loops. Always from
+// the landmark's own surroundings, or those of the loop's view: positions do not drift from view to view.
+std::vector<Landmark> find_landmarks(const Views& views, const std::function<StereoView(int)>& view,
+                                     const RectifiedCamera& camera, const BundleOptions& options,
+                                     motion::ScsOptions scs) {
+  constexpr int kBlock = 8;                                // views that are read at once
+  constexpr int kFoundCell = 3;                            // [px] two landmarks nearer to each other are one
+  constexpr int kNewCell = 6;                              // [px] no new landmark so near to one
+  scs.max_refinement = std::max(scs.max_refinement, 3.0);  // poses are not as good as the motion between two views
+  const int count = static_cast<int>(views.frames.size());
+  std::vector<Landmark> landmarks;
+  std::vector<std::vector<Seen>> seen(static_cast<size_t>(count));
+  std::deque<motion::ViewFeatures> recent;  // of the last options.window views, and those of the block from `k` on
+  int first_recent = 0;
+  for (int k = 0; k < count; ++k) {
+    if (k % kBlock == 0) {
+      std::vector<motion::ViewFeatures> block(static_cast<size_t>(std::min(kBlock, count - k)));
+      parallel_chunks(0, static_cast<int>(block.size()), 1, [&](int begin, int end) {
+        for (int b = begin; b < end; ++b) {
+          const StereoView stored = view(views.frames[k + b]);
+          block[b] = motion::extract_features(grey_of(stored.image), stored.disparity, camera, scs);
+        }
+      });
+      for (auto& features : block) recent.push_back(std::move(features));
+    }
+    const motion::ViewFeatures& current = recent[k - first_recent];
+
+    // Where landmarks are looked for from: loops first, they are rarer.
+    struct Source {
+      int view = 0;
+      Pose source_from_current;
+      bool loop = false;
+      std::vector<Seen> wanted;
+      std::vector<motion::Correspondence> found;
+    };
+    std::vector<Source> sources;
+    for (const auto& [earlier, earlier_from_current] : views.loops[k]) {
+      sources.push_back({.view = earlier, .source_from_current = earlier_from_current, .loop = true});
+      sources.back().wanted = seen[earlier];
+    }
+    for (int earlier = k - 1; earlier >= std::max(0, k - options.window); --earlier) {
+      if (views.submaps[earlier] != views.submaps[k]) continue;
+      sources.push_back({.view = earlier, .source_from_current = views.poses[earlier].inverse() * views.poses[k]});
+      for (const Seen& one : seen[earlier]) {
+        if (landmarks[one.landmark].anchor == earlier) sources.back().wanted.push_back(one);
+      }
+    }
+    parallel_chunks(0, static_cast<int>(sources.size()), 1, [&](int begin, int end) {
+      for (int s = begin; s < end; ++s) {
+        Source& source = sources[s];
+        motion::ViewFeatures from;
+        from.image = source.view >= first_recent ? recent[source.view - first_recent].image
+                                                 : grey_of(view(views.frames[source.view]).image);
+        for (const Seen& one : source.wanted) from.corners.push_back(one.corner);
+        source.found = motion::predicted_matches(from, current, source.source_from_current, camera, scs);
+      }
+    });
+    Occupied occupied(camera, kFoundCell), for_new(camera, kNewCell);
+    std::vector<int> seen_here;
+    const auto add = [&](int landmark, const motion::Corner& corner) {
+      landmarks[landmark].observations.push_back({k, reconstruct::image_coordinates(camera, corner.point_in_cam)});
+      seen[k].push_back({landmark, corner});
+      occupied.take(corner.x, corner.y);
+      for_new.take(corner.x, corner.y);
+    };
+    for (const Source& source : sources) {
+      for (const motion::Correspondence& match : source.found) {
+        if (static_cast<int>(seen[k].size()) >= options.points) break;
+        const int landmark = source.wanted[match.prev_corner].landmark;
+        if (landmarks[landmark].observations.back().view == k) continue;
+        const Eigen::Vector3d at = camera.project(match.cur_point);
+        if (occupied.near(at.x(), at.y())) continue;
+        add(landmark, {.x = at.x(), .y = at.y(), .disparity = at.z(), .point_in_cam = match.cur_point});
+      }
+    }
+    for (const motion::Corner& corner : current.corners) {
+      if (static_cast<int>(seen[k].size()) >= options.points) break;
+      if (for_new.near(corner.x, corner.y)) continue;
+      landmarks.push_back({.anchor = k, .point = views.poses[k] * corner.point_in_cam});
+      add(static_cast<int>(landmarks.size()) - 1, corner);
+    }
+    while (first_recent < k + 1 - options.window) {
+      recent.pop_front();
+      ++first_recent;
+    }
+  }
+  std::erase_if(landmarks, [](const Landmark& landmark) { return landmark.observations.size() < 2; });
+  return landmarks;
+}
+
+// Between successive views: the relative pose as it was.
+struct Bridge {
+  int i = 0, j = 0;
+  Pose i_from_j = Pose::Identity();
+  Matrix6d information = Matrix6d::Zero();
+  bool needed = false;  // these views share too few points
+};
+
+struct State {
+  std::vector<Pose> poses;
+  std::vector<Eigen::Vector3d> points;
+  Eigen::Vector3d calibration = Eigen::Vector3d::Zero();
+};
+
+// The landmarks of one anchor: the unit of parallel work. Their part of the reduced system is small and dense.
+struct Group {
+  int begin = 0, end = 0;                  // landmarks
+  std::vector<int> views;                  // that see any of them, ascending
+  std::vector<std::pair<int, int>> pairs;  // of places in `views`, that see a landmark together
+  std::vector<int> pair_slots;             // of these in the reduced matrix
+};
+
+class Adjuster {
+ public:
+  Adjuster(const RectifiedCamera& camera, const std::vector<Landmark>& landmarks, const std::vector<Bridge>& bridges,
+           const std::vector<int>& unknown_of_view, int unknowns, double times)
+      : camera_(camera),
+        landmarks_(landmarks),
+        bridges_(bridges),
+        unknown_of_view_(unknown_of_view),
+        unknowns_(unknowns),
+        groups_(grouped()),
+        system_(unknowns, pairs_of_groups()),
+        times_(times) {}
+
+  // How good the observations are [px]: what residuals are compared with.
+  void set_sigma(double sigma) {
+    variance_ = sigma * sigma;
+    width2_ = kWidth * kWidth * variance_;
+  }
+
+  // Whether odometry counts between all successive views, or only where it is needed: the errors of the calibration are
+  // in it.
+  void use_odometry(bool everywhere) { odometry_everywhere_ = everywhere; }
+
+  // Least squares over poses, points and those parameters of the calibration that are free (1, else 0). Returns whether
+  // it has come to rest.
+  bool run(State& state, const Eigen::Array3d& free, int max_iterations, int& iterations) {
+    double damping = 1e-8, cost = cost_of(state);
+    for (int n = 0; n < max_iterations; ++n, ++iterations) {
+      for (bool moved = false; !moved;) {
+        linearise(state, damping);
+        Eigen::VectorXd step;
+        Eigen::Vector3d calibration_step;
+        if (system_.factorise(damping) && solve(free, step, calibration_step)) {
+          const double decrease = -(step.dot(gradient_) + calibration_step.dot(calibration_gradient_));
+          State next = moved_by(state, step, calibration_step);
+          const double next_cost = cost_of(next);
+          if (next_cost <= cost) {
+            const bool rests = decrease < kRest * width2_;
+            state = std::move(next);
+            cost = next_cost;
+            damping = std::max(damping / 10, 1e-9);
+            if (rests) return true;
+            moved = true;
+          }
+        }
+        if (!moved) damping *= 10;
+        if (damping > 1e4) return false;
+      }
+    }
+    return false;
+  }
+
+  // Standard deviations of all calibration parameters together, in units of the observations' (linearised, all free).
+  Eigen::Array3d calibration_sigma(const State& state) {
+    linearise(state, 0);
+    if (!system_.factorise(1e-12)) return Eigen::Array3d::Constant(std::numeric_limits<double>::infinity());
+    const Eigen::MatrixXd y = system_.solve(coupling_);
+    const Eigen::Matrix3d reduced = calibration_hessian_ - coupling_.transpose() * y;
+    const Eigen::Matrix3d covariance = reduced.inverse();
+    return (covariance.diagonal().array() > 0)
+        .select(covariance.diagonal().array().abs().sqrt(), std::numeric_limits<double>::infinity());
+  }
+
+  // Marginal covariances of the unknown poses, in units of the observations' variance.
+  std::vector<Matrix6d> covariances(const State& state, const Eigen::Array3d& free) {
+    linearise(state, 0);
+    double damping = 0;
+    while (!system_.factorise(damping)) {
+      damping = std::max(1e-12, damping * 100);
+      IRIS_CHECK(damping < 1);
+    }
+    std::vector<Matrix6d> result = system_.inverse_diagonal();
+    const Eigen::MatrixXd y = system_.solve(coupling_);
+    const Eigen::Matrix3d inverse = masked(calibration_hessian_ - coupling_.transpose() * y, free).inverse();
+    for (int u = 0; u < unknowns_; ++u) {
+      const Eigen::Matrix<double, 6, 3> part = y.middleRows<6>(6 * u) * free.matrix().asDiagonal();
+      result[u] += part * inverse * part.transpose();
+    }
+    return result;
+  }
+
+  // Squared residuals of all observations [px^2], ascending by landmark and observation.
+  std::vector<double> squares(const State& state) const {
+    std::vector<double> result;
+    for (size_t l = 0; l < landmarks_.size(); ++l) {
+      for (const Observation& seen : landmarks_[l].observations) {
+        const ObservationResidual at =
+            observe(camera_, state.poses[seen.view], state.points[l], state.calibration, seen.seen);
+        result.push_back(at.valid ? at.residual.squaredNorm() : std::numeric_limits<double>::infinity());
+      }
+    }
+    return result;
+  }
+
+ private:
+  static constexpr double kRest = 0.01;  // all poses together: a third of a standard deviation
+
+  struct Part {               // of a group
+    Eigen::MatrixXd hessian;  // of its views, then the calibration
+    Eigen::VectorXd gradient;
+  };
+
+  std::vector<Group> grouped() const {
+    std::vector<Group> groups;
+    const int count = static_cast<int>(landmarks_.size());
+    for (int begin = 0; begin < count;) {
+      Group group{.begin = begin, .end = begin};
+      // A hundred landmarks at most: views with many of them do not hold up the others.
+      while (group.end < count && group.end < begin + 100 && landmarks_[group.end].anchor == landmarks_[begin].anchor) {
+        for (const Observation& seen : landmarks_[group.end].observations) group.views.push_back(seen.view);
+        ++group.end;
+      }
+      std::sort(group.views.begin(), group.views.end());
+      group.views.erase(std::unique(group.views.begin(), group.views.end()), group.views.end());
+      for (int l = begin; l < group.end; ++l) {
+        const auto& observations = landmarks_[l].observations;
+        for (size_t a = 0; a < observations.size(); ++a) {
+          for (size_t b = a + 1; b < observations.size(); ++b) {
+            group.pairs.emplace_back(place_in(group, observations[a].view), place_in(group, observations[b].view));
+          }
+        }
+      }
+      std::sort(group.pairs.begin(), group.pairs.end());
+      group.pairs.erase(std::unique(group.pairs.begin(), group.pairs.end()), group.pairs.end());
+      begin = group.end;
+      groups.push_back(std::move(group));
+    }
+    return groups;
+  }
+
+  static int place_in(const Group& group, int view) {
+    return static_cast<int>(std::lower_bound(group.views.begin(), group.views.end(), view) - group.views.begin());
+  }
+
+  std::vector<std::pair<int, int>> pairs_of_groups() {
+    std::vector<std::pair<int, int>> pairs;
+    for (Group& group : groups_) {
+      for (const auto& [a, b] : group.pairs) {
+        group.pair_slots.push_back(static_cast<int>(pairs.size()));
+        pairs.emplace_back(unknown_of_view_[group.views[a]], unknown_of_view_[group.views[b]]);
+      }
+    }
+    first_bridge_slot_ = static_cast<int>(pairs.size());
+    for (const Bridge& bridge : bridges_) pairs.emplace_back(unknown_of_view_[bridge.i], unknown_of_view_[bridge.j]);
+    return pairs;
+  }
+
+  // Takes odometry's information to the units of the observations, which are `times_` as uncertain as they look.
+  double weight_of(const Bridge& bridge) const {
+    return bridge.needed || odometry_everywhere_ ? times_ * times_ * variance_ : 0;
+  }
+
+  double cost_of(const State& state) const {
+    std::vector<double> costs(groups_.size(), 0);
+    parallel_chunks(0, static_cast<int>(groups_.size()), 1, [&](int begin, int end) {
+      for (int g = begin; g < end; ++g) {
+        for (int l = groups_[g].begin; l < groups_[g].end; ++l) {
+          for (const Observation& seen : landmarks_[l].observations) {
+            const Eigen::Vector3d in_cam =
+                state.poses[seen.view].linear().transpose() * (state.points[l] - state.poses[seen.view].translation());
+            if (!(in_cam.z() > 0)) {
+              costs[g] = std::numeric_limits<double>::infinity();
+              continue;
+            }
+            Eigen::Vector3d residual =
+                (1 + state.calibration(1)) * reconstruct::image_coordinates(camera_, in_cam) - seen.seen;
+            residual.z() += state.calibration(0) + state.calibration(2) * seen.seen.y() * M_SQRT1_2;
+            costs[g] += width2_ * std::log1p(residual.squaredNorm() / width2_);
+          }
+        }
+      }
+    });
+    double cost = 0;
+    for (const double one : costs) cost += one;
+    for (const Bridge& bridge : bridges_) {
+      const Vector6d residual = edge_residual(state.poses[bridge.i], state.poses[bridge.j], bridge.i_from_j);
+      cost += weight_of(bridge) * residual.dot(bridge.information * residual);
+    }
+    return cost;
+  }
+
+  // The normal equations with all points eliminated by their 3x3 Schur complements. Each point keeps what its own step
+  // needs.
+  void linearise(const State& state, double damping) {
+    inverse_.resize(landmarks_.size());
+    point_gradient_.resize(landmarks_.size());
+    std::vector<Part> parts(groups_.size());
+    parallel_chunks(0, static_cast<int>(groups_.size()), 1, [&](int begin, int end) {
+      for (int g = begin; g < end; ++g) parts[g] = part_of(groups_[g], state, damping);
+    });
+    system_.set_zero();
+    gradient_ = Eigen::VectorXd::Zero(6 * unknowns_);
+    coupling_ = Eigen::MatrixXd::Zero(6 * unknowns_, kCalibration);
+    calibration_hessian_.setZero();
+    calibration_gradient_.setZero();
+    for (size_t g = 0; g < groups_.size(); ++g) {
+      const Group& group = groups_[g];
+      const Part& part = parts[g];
+      const int last = 6 * static_cast<int>(group.views.size());
+      for (size_t v = 0; v < group.views.size(); ++v) {
+        const int u = unknown_of_view_[group.views[v]], at = 6 * static_cast<int>(v);
+        if (u < 0) continue;
+        system_.add(u, part.hessian.block<6, 6>(at, at));
+        gradient_.segment<6>(6 * u) += part.gradient.segment<6>(at);
+        coupling_.middleRows<6>(6 * u) += part.hessian.block<6, kCalibration>(at, last);
+      }
+      for (size_t p = 0; p < group.pairs.size(); ++p) {
+        const auto& [a, b] = group.pairs[p];
+        system_.add_pair(group.pair_slots[p], part.hessian.block<6, 6>(6 * a, 6 * b));
+      }
+      calibration_hessian_ += part.hessian.bottomRightCorner<kCalibration, kCalibration>();
+      calibration_gradient_ += part.gradient.tail<kCalibration>();
+    }
+    for (size_t b = 0; b < bridges_.size(); ++b) {
+      const Bridge& bridge = bridges_[b];
+      const Pose &i = state.poses[bridge.i], &j = state.poses[bridge.j];
+      const Vector6d residual = edge_residual(i, j, bridge.i_from_j);
+      const EdgeJacobians jacobians = edge_jacobians(i, j, residual);
+      const int ui = unknown_of_view_[bridge.i], uj = unknown_of_view_[bridge.j];
+      const Matrix6d information = weight_of(bridge) * bridge.information;
+      const Matrix6d weighted_i = information * jacobians.by_i, weighted_j = information * jacobians.by_j;
+      if (ui >= 0) {
+        system_.add(ui, jacobians.by_i.transpose() * weighted_i);
+        gradient_.segment<6>(6 * ui) += weighted_i.transpose() * residual;
+      }
+      if (uj >= 0) {
+        system_.add(uj, jacobians.by_j.transpose() * weighted_j);
+        gradient_.segment<6>(6 * uj) += weighted_j.transpose() * residual;
+      }
+      system_.add_pair(first_bridge_slot_ + static_cast<int>(b), jacobians.by_i.transpose() * weighted_j);
+    }
+  }
+
+  Part part_of(const Group& group, const State& state, double damping) {
+    const int size = 6 * static_cast<int>(group.views.size()) + kCalibration, last = size - kCalibration;
+    Part part{.hessian = Eigen::MatrixXd::Zero(size, size), .gradient = Eigen::VectorXd::Zero(size)};
+    std::vector<int> places;
+    std::vector<Eigen::Matrix<double, 6, 3>> by_point;  // of each observation: pose by point
+    std::vector<Eigen::Matrix<double, 6, 3>> reduced;   // times the inverse of the point's Hessian
+    for (int l = group.begin; l < group.end; ++l) {
+      const auto& observations = landmarks_[l].observations;
+      places.clear();
+      by_point.clear();
+      reduced.clear();
+      Eigen::Matrix3d point_hessian = Eigen::Matrix3d::Zero(), calibration_by_point = Eigen::Matrix3d::Zero();
+      Eigen::Vector3d point_gradient = Eigen::Vector3d::Zero();
+      for (const Observation& seen : observations) {
+        const ObservationResidual at =
+            observe(camera_, state.poses[seen.view], state.points[l], state.calibration, seen.seen);
+        IRIS_CHECK(at.valid);
+        const double weight = 1 / (1 + at.residual.squaredNorm() / width2_);
+        const int place = 6 * place_in(group, seen.view);
+        const Eigen::Matrix<double, 6, 3> pose = weight * at.by_pose.transpose();
+        const Eigen::Matrix3d calibration = weight * at.by_calibration.transpose();
+        point_hessian.noalias() += weight * at.by_point.transpose() * at.by_point;
+        point_gradient.noalias() += weight * at.by_point.transpose() * at.residual;
+        part.hessian.block<6, 6>(place, place).noalias() += pose * at.by_pose;
+        part.hessian.block<6, 3>(place, last).noalias() += pose * at.by_calibration;
+        part.hessian.block<3, 3>(last, last).noalias() += calibration * at.by_calibration;
+        part.gradient.segment<6>(place).noalias() += pose * at.residual;
+        part.gradient.segment<3>(last).noalias() += calibration * at.residual;
+        calibration_by_point.noalias() += calibration * at.by_point;
+        places.push_back(place);
+        by_point.push_back(pose * at.by_point);
+      }
+      point_hessian.diagonal() *= 1 + damping;
+      const Eigen::Matrix3d inverse = point_hessian.inverse();
+      inverse_[l] = inverse;
+      point_gradient_[l] = point_gradient;
+      const Eigen::Vector3d step = inverse * point_gradient;
+      const Eigen::Matrix3d calibration_reduced = calibration_by_point * inverse;
+      for (size_t a = 0; a < places.size(); ++a) {
+        reduced.push_back(by_point[a] * inverse);
+        part.gradient.segment<6>(places[a]).noalias() -= by_point[a] * step;
+        part.hessian.block<6, 3>(places[a], last).noalias() -= reduced[a] * calibration_by_point.transpose();
+        for (size_t b = a; b < places.size(); ++b) {
+          part.hessian.block<6, 6>(places[a], places[b]).noalias() -= reduced[a] * by_point[b].transpose();
+        }
+      }
+      part.gradient.segment<3>(last).noalias() -= calibration_by_point * step;
+      part.hessian.block<3, 3>(last, last).noalias() -= calibration_reduced * calibration_by_point.transpose();
+    }
+    return part;
+  }
+
+  // Without the parameters that are not free.
+  static Eigen::Matrix3d masked(Eigen::Matrix3d matrix, const Eigen::Array3d& free) {
+    for (int k = 0; k < kCalibration; ++k) {
+      if (free(k) != 0) continue;
+      matrix.row(k).setZero();
+      matrix.col(k).setZero();
+      matrix(k, k) = 1;
+    }
+    return matrix;
+  }
+
+  bool solve(const Eigen::Array3d& free, Eigen::VectorXd& step, Eigen::Vector3d& calibration_step) const {
+    Eigen::MatrixXd right(6 * unknowns_, 1 + kCalibration);
+    right << -gradient_, coupling_;
+    const Eigen::MatrixXd solved = system_.solve(right);
+    const auto y = solved.rightCols<kCalibration>();
+    const Eigen::Matrix3d reduced = masked(calibration_hessian_ - coupling_.transpose() * y, free);
+    const Eigen::Vector3d rest = free * (-calibration_gradient_ - coupling_.transpose() * solved.col(0)).array();
+    const Eigen::LLT<Eigen::Matrix3d> solver(reduced);
+    if (solver.info() != Eigen::Success) return false;
+    calibration_step = solver.solve(rest);
+    step = solved.col(0) - y * calibration_step;
+    return step.allFinite();
+  }
+
+  State moved_by(const State& state, const Eigen::VectorXd& step, const Eigen::Vector3d& calibration_step) const {
+    State moved = state;
+    for (size_t v = 0; v < state.poses.size(); ++v) {
+      const int u = unknown_of_view_[v];
+      if (u >= 0) moved.poses[v] = screwed(state.poses[v], step.segment<6>(6 * u));
+    }
+    moved.calibration += calibration_step;
+    parallel_chunks(0, static_cast<int>(landmarks_.size()), 512, [&](int begin, int end) {
+      for (int l = begin; l < end; ++l) {
+        Eigen::Vector3d gradient = point_gradient_[l];
+        for (const Observation& seen : landmarks_[l].observations) {
+          const ObservationResidual at =
+              observe(camera_, state.poses[seen.view], state.points[l], state.calibration, seen.seen);
+          const double weight = 1 / (1 + at.residual.squaredNorm() / width2_);
+          Eigen::Vector3d change = at.by_calibration * calibration_step;
+          const int u = unknown_of_view_[seen.view];
+          if (u >= 0) change += at.by_pose * step.segment<6>(6 * u);
+          gradient += weight * at.by_point.transpose() * change;
+        }
+        moved.points[l] -= inverse_[l] * gradient;
+      }
+    });
+    return moved;
+  }
+
+  const RectifiedCamera& camera_;
+  const std::vector<Landmark>& landmarks_;
+  const std::vector<Bridge>& bridges_;
+  const std::vector<int>& unknown_of_view_;
+  int unknowns_ = 0, first_bridge_slot_ = 0;
+  std::vector<Group> groups_;
+  BlockCholesky<6> system_;
+  Eigen::VectorXd gradient_;
+  Eigen::MatrixXd coupling_;
+  Eigen::Matrix3d calibration_hessian_;
+  Eigen::Vector3d calibration_gradient_;
+  std::vector<Eigen::Matrix3d> inverse_;
+  std::vector<Eigen::Vector3d> point_gradient_;
+  double times_ = 1;
+  bool odometry_everywhere_ = true;
+  double variance_ = 1, width2_ = kWidth * kWidth;  // [px^2]
+};
+
+double median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+// Standard deviation of a coordinate [px] that the median of the squared residuals of three coordinates shows.
+double robust_sigma(const std::vector<double>& squares) { return std::sqrt(median(squares) / kScaleOfMedian); }
+
+// Covariance of a motion carried on: of a from c, c being rigidly `way` away from b, for that of a from b.
+Matrix6d carried(const Matrix6d& covariance, const Eigen::Vector3d& way) {
+  Matrix6d rigid = Matrix6d::Identity();
+  rigid.topRightCorner<3, 3>() = -motion::cross_matrix(way);
+  return rigid * covariance * rigid.transpose();
+}
+
+// What odometry says of successive views. It knows the frames in between, which images of the views alone do not.
+std::vector<Bridge> bridges_between(const Views& views, const std::vector<Landmark>& landmarks,
+                                    const RefinedGraph& refined, const PoseGraphOptions& graph) {
+  constexpr int kLeastShared = 20;
+  std::vector<int> shared(views.frames.size(), 0);  // with the view before
+  for (const Landmark& landmark : landmarks) {
+    for (size_t n = 1; n < landmark.observations.size(); ++n) {
+      const int view = landmark.observations[n].view;
+      if (landmark.observations[n - 1].view == view - 1) ++shared[view];
+    }
+  }
+  std::map<int, const PoseEdge*> edge_to;  // of each frame: the edge from the earlier frame it was measured against
+  for (const PoseEdge& edge : refined.graph.edges) {
+    if (edge.kind != PoseEdgeKind::loop) edge_to[std::max(edge.i, edge.j)] = &edge;
+  }
+  std::vector<Bridge> bridges;
+  for (size_t k = 1; k < views.frames.size(); ++k) {
+    if (views.submaps[k] != views.submaps[k - 1]) continue;
+    // From the later view back to the earlier one; edges that reach beyond it end there.
+    Pose from_later = Pose::Identity();  // of the frame reached
+    Matrix6d covariance = Matrix6d::Zero();
+    bool known = true;
+    for (int frame = views.frames[k]; known && frame > views.frames[k - 1];) {
+      const auto edge = edge_to.find(frame);
+      known =
+          edge != edge_to.end() && edge->second->kind == PoseEdgeKind::odometry && edge->second->i < edge->second->j;
+      if (!known) break;
+      const Pose& step = edge->second->i_from_j;
+      Matrix6d turn = Matrix6d::Zero();
+      turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = step.linear();
+      covariance = turn * covariance * turn.transpose() +
+                   carried(edge->second->information.inverse(), step.linear() * from_later.translation());
+      from_later = step * from_later;
+      frame = edge->second->i;
+    }
+    Bridge bridge{.i = static_cast<int>(k) - 1, .j = static_cast<int>(k)};
+    bridge.needed = shared[k] < kLeastShared;
+    bridge.i_from_j = views.poses[k - 1].inverse() * views.poses[k];
+    if (known) {
+      bridge.information = (covariance * graph.odometry_sigma * graph.odometry_sigma).inverse();
+    } else {
+      const double step = 0.05 + 0.1 * bridge.i_from_j.translation().norm(), turn = 0.05;  // [m], [rad]
+      bridge.information.diagonal() << Eigen::Vector3d::Constant(1 / (step * step)),
+          Eigen::Vector3d::Constant(1 / (turn * turn));
+    }
+    bridges.push_back(bridge);
+  }
+  return bridges;
+}
+
+std::string words_of(const CalibrationCorrection& c) {
+  const auto verdict = [](const Estimated& e) { return e.applied ? ", corrected" : ""; };
+  constexpr double kDegrees = 180 / M_PI;
+  return fmt::format(
+      "disparity offset {:+.2f} ± {:.2f} px{}; focal length {:+.2f} ± {:.2f} %{}; right camera turned by {:+.3f} ± "
+      "{:.3f} deg about its axis",
+      c.disparity_offset.value, c.disparity_offset.sigma, verdict(c.disparity_offset), 100 * c.focal.value,
+      100 * c.focal.sigma, verdict(c.focal), kDegrees * c.roll.value, kDegrees * c.roll.sigma);
+}
+
+// The poses of all nodes from those of the views, see BundleResult.
+void spread_over_nodes(const std::vector<PoseNode>& nodes, const Views& views, const std::vector<int>& node_of_view,
+                       const std::vector<Pose>& poses, const std::vector<Matrix6d>& covariances, BundleResult& result) {
+  std::vector<double> way(nodes.size(), 0);
+  for (size_t n = 1; n < nodes.size(); ++n) {
+    way[n] = way[n - 1] + (nodes[n].world_from_cam.translation() - nodes[n - 1].world_from_cam.translation()).norm();
+  }
+  const int count = static_cast<int>(nodes.size());
+  std::map<int, std::vector<int>> views_of_submap;
+  for (size_t v = 0; v < views.frames.size(); ++v) views_of_submap[views.submaps[v]].push_back(static_cast<int>(v));
+  for (int n = 0; n < count; ++n) {
+    const auto found = views_of_submap.find(nodes[n].submap);
+    if (found == views_of_submap.end()) continue;
+    const std::vector<int>& list = found->second;
+    const auto after =
+        std::upper_bound(list.begin(), list.end(), n, [&](int node, int v) { return node < node_of_view[v]; });
+    const int b = after == list.end() ? -1 : *after, a = after == list.begin() ? -1 : *(after - 1);
+    const auto moved_with = [&](int v) { return poses[v] * views.poses[v].inverse() * nodes[n].world_from_cam; };
+    Pose pose;
+    int nearest = a;
+    if (a < 0 || b < 0) {
+      nearest = a < 0 ? b : a;
+      pose = moved_with(nearest);
+    } else {
+      const double length = way[node_of_view[b]] - way[node_of_view[a]];
+      const double s = length > 0 ? (way[n] - way[node_of_view[a]]) / length : 0;
+      if (s > 0.5) nearest = b;
+      const Pose with_a = moved_with(a), with_b = moved_with(b);
+      pose.linear() = Eigen::Quaterniond(with_a.linear()).slerp(s, Eigen::Quaterniond(with_b.linear())).matrix();
+      pose.translation() = (1 - s) * with_a.translation() + s * with_b.translation();
+    }
+    if (node_of_view[nearest] == n) pose = poses[nearest];
+    pose.linear() = nearest_rotation(pose.linear());
+    result.nodes[n].world_from_cam = pose;
+    result.covariance[n] = carried(covariances[nearest], pose.translation() - poses[nearest].translation());
+  }
+}
+
+}  // namespace
+
+BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_frames,
+                    const std::function<StereoView(int)>& view, const RectifiedCamera& camera,
+                    const BundleOptions& options, const PoseGraphOptions& graph, const motion::ScsOptions& scs) {
+  const std::vector<PoseNode>& nodes = refined.graph.nodes;
+  BundleResult result{.nodes = nodes, .camera = camera, .views = static_cast<int>(view_frames.size())};
+  result.covariance.assign(nodes.size(), Matrix6d::Zero());
+
+  Views views{.frames = view_frames};
+  std::map<int, int> view_of_frame;
+  std::vector<int> node_of_view, unknown_of_view;
+  std::map<int, bool> submap_seen;
+  int unknowns = 0;
+  for (const int frame_idx : view_frames) {
+    const auto node = std::lower_bound(nodes.begin(), nodes.end(), frame_idx,
+                                       [](const PoseNode& a, int idx) { return a.frame_idx < idx; });
+    IRIS_CHECK(node != nodes.end() && node->frame_idx == frame_idx);
+    view_of_frame[frame_idx] = static_cast<int>(node_of_view.size());
+    node_of_view.push_back(static_cast<int>(node - nodes.begin()));
+    views.submaps.push_back(node->submap);
+    views.poses.push_back(node->world_from_cam);
+    unknown_of_view.push_back(submap_seen[node->submap] ? unknowns++ : -1);
+    submap_seen[node->submap] = true;
+  }
+  views.loops.resize(view_frames.size());
+  for (size_t k = 0; k < refined.graph.edges.size(); ++k) {
+    const PoseEdge& loop = refined.graph.edges[k];
+    if (loop.kind != PoseEdgeKind::loop || refined.edge_weight[k] < kRejectedWeight) continue;
+    const auto i = view_of_frame.find(loop.i), j = view_of_frame.find(loop.j);
+    if (i == view_of_frame.end() || j == view_of_frame.end() || i == j) continue;
+    if (views.submaps[i->second] != views.submaps[j->second]) continue;
+    if (i->second < j->second) {
+      views.loops[j->second].emplace_back(i->second, loop.i_from_j);
+    } else {
+      views.loops[i->second].emplace_back(j->second, loop.i_from_j.inverse());
+    }
+  }
+
+  const std::vector<Landmark> landmarks = find_landmarks(views, view, camera, options, scs);
+  result.points = static_cast<int>(landmarks.size());
+  for (const Landmark& landmark : landmarks) result.observations += static_cast<int>(landmark.observations.size());
+  if (unknowns == 0 || 3 * (result.observations - result.points) < 12 * unknowns) {
+    result.problem = fmt::format("{} views share only {} points", result.views, result.points);
+    return result;
+  }
+  const std::vector<Bridge> bridges = bridges_between(views, landmarks, refined, graph);
+
+  // Only loose first: how good the observations are is told by what is left.
+  State state{.poses = views.poses};
+  for (const Landmark& landmark : landmarks) state.points.push_back(landmark.point);
+  Adjuster adjuster(camera, landmarks, bridges, unknown_of_view, unknowns, options.sigma);
+  const Eigen::Array3d none = Eigen::Array3d::Zero();
+  // Points begin where their anchor saw them; half of their disagreement is its own.
+  result.rms_before = robust_sigma(adjuster.squares(state));
+  adjuster.set_sigma(result.rms_before);
+  adjuster.run(state, none, 3, result.iterations);
+  adjuster.set_sigma(robust_sigma(adjuster.squares(state)));
+
+  // What the images say about the calibration, then with what of it is significant.
+  const double freedom = 3.0 * (result.observations - result.points) - 6.0 * unknowns;
+  const double few = std::sqrt(3.0 * result.observations / freedom);  // points and poses follow the errors in part
+  State free_state = state;
+  adjuster.use_odometry(false);
+  adjuster.run(free_state, Eigen::Array3d::Ones(), options.max_iterations, result.iterations);
+  const Eigen::Array3d calibration_sigma =
+      options.sigma * few * robust_sigma(adjuster.squares(free_state)) * adjuster.calibration_sigma(free_state);
+  Estimated* const estimates[] = {&result.calibration.disparity_offset, &result.calibration.focal,
+                                  &result.calibration.roll};
+  const double least[] = {options.min_offset, options.min_focal, std::numeric_limits<double>::infinity()};
+  Eigen::Array3d free = none;
+  for (int k = 0; k < kCalibration; ++k) {
+    const double value = free_state.calibration(k);
+    const bool applied = options.calibrate && std::abs(value) > 3 * calibration_sigma(k) && std::abs(value) > least[k];
+    *estimates[k] = {value, calibration_sigma(k), applied};
+    free(k) = applied ? 1 : 0;
+    if (applied) state.calibration(k) = value;
+  }
+  if (free.any()) {
+    state = free_state;
+    state.calibration.array() *= free;
+  }
+  adjuster.use_odometry(!free.any());
+  adjuster.run(state, free, options.max_iterations, result.iterations);
+  for (int k = 0; k < kCalibration; ++k) {
+    if (free(k) != 0) estimates[k]->value = state.calibration(k);
+  }
+  result.calibration.words = words_of(result.calibration);
+  result.camera.disparity_offset += state.calibration(0);
+  result.camera.f *= 1 + state.calibration(1);
+  result.rms_after = robust_sigma(adjuster.squares(state));
+
+  const double variance = std::pow(options.sigma * few * result.rms_after, 2);
+  const std::vector<Matrix6d> of_unknowns = adjuster.covariances(state, free);
+  std::vector<Matrix6d> covariances;
+  for (const int u : unknown_of_view)
+    covariances.push_back(u < 0 ? Matrix6d::Zero() : Matrix6d(variance * of_unknowns[u]));
+  spread_over_nodes(nodes, views, node_of_view, state.poses, covariances, result);
+  result.ok = true;
+  return result;
+}
+
+}  // namespace iris::loop

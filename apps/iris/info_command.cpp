@@ -98,6 +98,7 @@ void print_output(const workspace::Workspace& workspace) {
              summary.unreadable, summary.submaps);
   fmt::print("path         {:.3f} m\n", summary.path_length);
   fmt::print("views        {}\n", summary.views);
+  if (const std::string text = workspace.calibration(); !text.empty()) fmt::print("calibration  {}\n", text);
   for (const workspace::WorldRecord& world : workspace.worlds()) {
     fmt::print("up           sub-map {}: {}\n", world.submap, world.alignment);
   }

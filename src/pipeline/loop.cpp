@@ -9,6 +9,7 @@
 #include <optional>
 
 #include "iris/core/error.h"
+#include "iris/loop/bundle.h"
 #include "iris/loop/find_loops.h"
 #include "iris/loop/pose_graph.h"
 
@@ -88,6 +89,28 @@ void stand_upright(workspace::RefinedPath& path, const StoredViews& views, const
   }
 }
 
+// Bundle adjustment of the refined path.
+void adjust(workspace::RefinedPath& path, const StoredViews& views, const Options& options) {
+  std::vector<PoseEdge> loops;
+  for (const workspace::LoopRecord& record : path.loops) {
+    if (record.edge.verdict == loop::LoopVerdict::accepted) loops.push_back(edge_of(record.edge));
+  }
+  const loop::BundleResult result = bundle(
+      path.nodes, views.frames(), [&](int frame_idx) { return views.load(frame_idx); }, views.camera(), loops,
+      options.bundle, options.motion);
+  if (!result.ok) {
+    spdlog::info("bundle adjustment: left out, {}", result.problem);
+    return;
+  }
+  spdlog::info("bundle adjustment: {} views, {} points, {:.3f} px before, {:.3f} px after", result.views, result.points,
+               result.rms_before, result.rms_after);
+  if (!result.calibration.words.empty()) spdlog::info("calibration: {}", result.calibration.words);
+  path.nodes = result.nodes;
+  for (size_t i = 0; i < path.nodes.size(); ++i) path.nodes[i].covariance = result.covariance[i];
+  path.camera = result.camera;
+  path.calibration = result.calibration.words;
+}
+
 std::vector<std::string> run_loop(const Options& options, workspace::Workspace& workspace, const RunControl& control) {
   const StoredViews views(workspace);
   PoseGraph graph = workspace.pose_graph(Poses::odometry);
@@ -120,6 +143,8 @@ std::vector<std::string> run_loop(const Options& options, workspace::Workspace& 
   }
   path.nodes = std::move(refined.graph.nodes);
   for (size_t i = 0; i < path.nodes.size(); ++i) path.nodes[i].covariance = refined.covariance[i];
+  path.camera = views.camera();
+  if (options.loop.enabled && options.loop.bundle) adjust(path, views, options);
   stand_upright(path, views, options.alignment);
   workspace.set_refined(path);
   return {};

@@ -40,6 +40,8 @@ CREATE TABLE IF NOT EXISTS view   (frame_idx INTEGER PRIMARY KEY, f REAL NOT NUL
 CREATE TABLE IF NOT EXISTS refined(frame_idx INTEGER PRIMARY KEY, submap INTEGER NOT NULL, world_from_cam BLOB NOT NULL,
                                    covariance BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS world  (submap INTEGER PRIMARY KEY, floor_found INTEGER NOT NULL, alignment TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS camera (f REAL NOT NULL, cx REAL NOT NULL, cy REAL NOT NULL, baseline REAL NOT NULL,
+                                   disparity_offset REAL NOT NULL, calibration TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS loop   (i INTEGER NOT NULL, j INTEGER NOT NULL, i_from_j BLOB NOT NULL, covariance BLOB NOT NULL,
                                    used INTEGER NOT NULL, consistent INTEGER NOT NULL, motion INTEGER NOT NULL,
                                    rms_px REAL NOT NULL, score REAL NOT NULL, source INTEGER NOT NULL,
@@ -324,7 +326,7 @@ void Workspace::clear_frames() {
     Transaction transaction(impl_->database);
     impl_->database.run(
         "DELETE FROM frame; DELETE FROM pose; DELETE FROM motion; DELETE FROM view; DELETE FROM value; "
-        "DELETE FROM refined; DELETE FROM world; DELETE FROM loop");
+        "DELETE FROM refined; DELETE FROM world; DELETE FROM camera; DELETE FROM loop");
     transaction.commit();
   }
   std::error_code ignored;
@@ -412,7 +414,11 @@ std::optional<int> Workspace::last_view_frame() const {
 void Workspace::set_refined(const RefinedPath& path) {
   const Database& db = impl_->database;
   Transaction transaction(db);
-  db.run("DELETE FROM refined; DELETE FROM world; DELETE FROM loop");
+  db.run("DELETE FROM refined; DELETE FROM world; DELETE FROM camera; DELETE FROM loop");
+  const RectifiedCamera& c = path.camera;
+  Statement(db, "INSERT INTO camera VALUES (?1, ?2, ?3, ?4, ?5, ?6)")
+      .bind(c.f, c.cx, c.cy, c.baseline, c.disparity_offset, path.calibration)
+      .step();
   for (const PoseNode& node : path.nodes) {
     Statement(db, "INSERT INTO refined VALUES (?1, ?2, ?3, ?4)")
         .bind(node.frame_idx, node.submap, matrix_of(node.world_from_cam), node.covariance)
@@ -473,6 +479,11 @@ std::vector<WorldRecord> Workspace::worlds() const {
   return worlds;
 }
 
+std::string Workspace::calibration() const {
+  Statement select(impl_->database, "SELECT calibration FROM camera");
+  return select.step() ? select.text(0) : std::string();
+}
+
 PoseGraph Workspace::pose_graph(Poses poses) const {
   PoseGraph graph;
   Statement select(impl_->database, fmt::format("SELECT frame_idx, stamp_ns, submap, pose, covariance FROM frame "
@@ -515,6 +526,8 @@ std::unique_ptr<views::ViewStore> Workspace::views(Poses poses, int submap, size
                                "WHERE ?1 < 0 OR submap = ?1 ORDER BY frame_idx",
                                table_of(poses)));
   select.bind(submap);
+  Statement camera(impl_->database, "SELECT f, cx, cy, baseline, disparity_offset FROM camera");
+  const bool refined = poses == Poses::refined && camera.step();
   std::vector<ViewRow> rows;
   while (select.step()) {
     ViewRow row;
@@ -532,6 +545,13 @@ std::unique_ptr<views::ViewStore> Workspace::views(Poses poses, int submap, size
     row.disparity_scale = static_cast<int>(select.integer(11));
     row.stamp_ns = select.integer(12);
     row.summary.world_from_cam = pose_of(select.matrix<Eigen::Matrix<double, 3, 4>>(13));
+    if (refined) {
+      row.summary.camera.f = camera.real(0);
+      row.summary.camera.cx = camera.real(1);
+      row.summary.camera.cy = camera.real(2);
+      row.summary.camera.baseline = camera.real(3);
+      row.summary.camera.disparity_offset = camera.real(4);
+    }
     rows.push_back(row);
   }
   return std::make_unique<CachedViewStore>(impl_->views_folder(), std::move(rows), cache_bytes);

@@ -5,6 +5,7 @@
 
 #include "iris/core/options.h"
 #include "iris/loop/alignment.h"
+#include "iris/loop/bundle.h"
 #include "iris/loop/options.h"
 #include "iris/loop/pose_graph.h"
 #include "iris/mapping/flog.h"
@@ -24,6 +25,7 @@ struct Options {
   views::ViewsOptions views;
   loop::LoopOptions loop;
   loop::PoseGraphOptions pose_graph;
+  loop::BundleOptions bundle;
   loop::AlignmentOptions alignment;
   mapping::FlogOptions mapping;
   render::DsnvOptions render{.step = 2};  // the pictures of a tour pass by: half the time for 0.6 dB less
@@ -38,6 +40,7 @@ struct Options {
     views.declare(set);
     loop.declare(set);
     pose_graph.declare(set);
+    bundle.declare(set);
     alignment.declare(set);
     mapping.declare(set);
     render.declare(set);

@@ -51,6 +51,8 @@ struct RefinedPath {
   std::vector<PoseNode> nodes;      // of all frames with a pose, in their order; worlds are z up
   std::vector<WorldRecord> worlds;  // one a sub-map
   std::vector<LoopRecord> loops;
+  RectifiedCamera camera;   // of all views, with what the recording told about its calibration
+  std::string calibration;  // what that was, for people; empty = nothing could be told
 };
 
 // Which poses: those that motions chained give, in the frame of each sub-map's first camera, or those of the loop
@@ -108,11 +110,13 @@ class Workspace {
   void set_refined(const RefinedPath& path);
   std::vector<LoopRecord> loops() const;
   std::vector<WorldRecord> worlds() const;
+  std::string calibration() const;  // RefinedPath::calibration; empty before the loop stage
 
   // Poses of all readable frames with their odometry edges and, of the refined path, its accepted loops.
   PoseGraph pose_graph(Poses poses) const;
 
   // The stored views of one sub-map (or of all: submap < 0), read on demand through a cache of at most `cache_bytes`.
+  // With refined poses they have the refined path's camera.
   std::unique_ptr<views::ViewStore> views(Poses poses, int submap, size_t cache_bytes) const;
 
  private:

@@ -18,19 +18,23 @@ namespace hn = hwy::HWY_NAMESPACE;
 // The LoG is g''(x) g(y) + g(x) g''(y): columns are convolved with both kernels into `smooth` and `second`, then rows
 // the other way round. rows[radius + k] is image row y + k; `smooth` and `second` have room for `radius` values on both
 // sides and a vector behind. No fused multiply-add: every instruction set must give the same bits.
-void log_row(const uint8_t* const* rows, int width, const float* gauss, const float* laplace, int radius, float* smooth,
-             float* second, uint8_t* out) {
+//
+// kRadius = 0: any; compilers unroll the loops of a known one.
+template <int kRadius>
+HWY_INLINE void log_row_of(const uint8_t* const* rows, int width, const float* gauss, const float* laplace,
+                           int any_radius, float* smooth, float* second, uint8_t* out) {
+  const int radius = kRadius == 0 ? any_radius : kRadius;
   const hn::ScalableTag<float> df;
   const hn::Rebind<int32_t, decltype(df)> di;
   const hn::Rebind<uint8_t, decltype(df)> d8;
   const int lanes = static_cast<int>(hn::Lanes(df));
-  const auto load = [&](const uint8_t* p) { return hn::ConvertTo(df, hn::PromoteTo(di, hn::LoadU(d8, p))); };
+  const auto load = [&](const uint8_t* p) HWY_ATTR { return hn::PromoteTo(di, hn::LoadU(d8, p)); };
   for (int x = 0; x < width; x += lanes) {
-    const auto centre = load(rows[radius] + x);
+    const auto centre = hn::ConvertTo(df, load(rows[radius] + x));
     auto a = hn::Mul(hn::Set(df, gauss[0]), centre);
     auto b = hn::Mul(hn::Set(df, laplace[0]), centre);
     for (int k = 1; k <= radius; ++k) {
-      const auto sum = hn::Add(load(rows[radius - k] + x), load(rows[radius + k] + x));
+      const auto sum = hn::ConvertTo(df, hn::Add(load(rows[radius - k] + x), load(rows[radius + k] + x)));
       a = hn::Add(a, hn::Mul(hn::Set(df, gauss[k]), sum));
       b = hn::Add(b, hn::Mul(hn::Set(df, laplace[k]), sum));
     }
@@ -61,6 +65,15 @@ void log_row(const uint8_t* const* rows, int width, const float* gauss, const fl
     }
     const auto value = hn::Min(hn::Max(hn::Add(hn::Mul(sum, scale), offset), low), high);
     hn::StoreU(hn::DemoteTo(d8, hn::ConvertTo(di, value)), d8, out + x);
+  }
+}
+
+void log_row(const uint8_t* const* rows, int width, const float* gauss, const float* laplace, int radius, float* smooth,
+             float* second, uint8_t* out) {
+  if (radius == 4) {  // of sigma 1
+    log_row_of<4>(rows, width, gauss, laplace, radius, smooth, second, out);
+  } else {
+    log_row_of<0>(rows, width, gauss, laplace, radius, smooth, second, out);
   }
 }
 

@@ -19,6 +19,9 @@ namespace iris::stereo {
 inline constexpr int kTile = 32;       // columns worked on together
 inline constexpr int kStep = 1;        // [px] smaller differences are left to the sub-pixel fit
 inline constexpr int kGreyReach = 32;  // [grey levels]
+inline constexpr int kBins = 1024;     // [px]
+inline constexpr int kNoBin = -8192;   // farther from any bin than bins are from each other
+inline constexpr int kMeasuredWeight = 5, kInterpolatedWeight = 3;
 
 }  // namespace iris::stereo
 #endif  // IRIS_STEREO_MEDIAN_CONSTANTS
@@ -35,12 +38,17 @@ namespace hn = hwy::HWY_NAMESPACE;
 // For kTile pixels: not 0 where the weighted median is more than kStep away from the pixel's own (rounded) disparity:
 // where what lies below weighs at least as much as all others, or what lies above more. The pointers are those of the
 // upper left corner of the first pixel's window.
-void outvoted(const int16_t* bin, const int16_t* grey, const int16_t* factor, ptrdiff_t stride, int16_t* out) {
+//
+// Only where `wanted` is not 0 is the answer needed.
+void outvoted(const int16_t* bin, const int16_t* grey, const int16_t* factor, ptrdiff_t stride, const uint8_t* wanted,
+              int16_t* out) {
   const hn::CappedTag<int16_t, kTile> d;
+  const hn::Rebind<uint8_t, decltype(d)> d8;
   const hn::RebindToUnsigned<decltype(d)> du;
   const auto reach = hn::Set(du, uint16_t{kGreyReach});
   const auto step = hn::Set(d, int16_t{kStep}), one = hn::Set(d, int16_t{1});
   for (int x = 0; x < kTile; x += static_cast<int>(hn::Lanes(d))) {
+    if (hn::AllTrue(d8, hn::Eq(hn::LoadU(d8, wanted + x), hn::Zero(d8)))) continue;
     const ptrdiff_t centre = kMedianRadius * stride + kMedianRadius + x;
     const auto own_grey = hn::LoadU(d, grey + centre), own_bin = hn::LoadU(d, bin + centre);
     const auto low = hn::Sub(own_bin, step), high = hn::Add(own_bin, step);
@@ -61,6 +69,34 @@ void outvoted(const int16_t* bin, const int16_t* grey, const int16_t* factor, pt
     const auto is_above = hn::Gt(hn::Add(above, above), all);
     hn::StoreU(hn::IfThenElseZero(hn::Or(is_below, is_above), one), d, out + x);
   }
+}
+
+// One row of what windows are made of. Returns the highest bin, at least 0.
+int fill_planes(const uint8_t* left, const float* disparity, const uint8_t* origin, int width, int16_t* bin,
+                int16_t* grey, int16_t* factor) {
+  int highest = 0;
+  const auto fill = [&](auto d, int x) HWY_ATTR {
+    const hn::RebindToSigned<decltype(d)> di;
+    const hn::Rebind<int16_t, decltype(d)> d16;
+    const hn::Rebind<uint8_t, decltype(d)> d8;
+    const auto value = hn::LoadU(d, disparity + x);
+    const auto valid = hn::RebindMask(di, hn::Gt(value, hn::Zero(d)));
+    const auto limited = hn::Min(hn::Add(value, hn::Set(d, 0.5f)), hn::Set(d, kBins - 1.0f));
+    const auto bins = hn::IfThenElse(valid, hn::ConvertTo(di, limited), hn::Set(di, kNoBin));
+    const auto of_origin = hn::PromoteTo(di, hn::LoadU(d8, origin + x));
+    const auto measured = hn::Lt(of_origin, hn::Set(di, static_cast<int>(DisparityOrigin::corrected) + 1));
+    const auto weight = hn::IfThenElse(measured, hn::Set(di, kMeasuredWeight), hn::Set(di, kInterpolatedWeight));
+    hn::StoreU(hn::DemoteTo(d16, bins), d16, bin + x);
+    hn::StoreU(hn::DemoteTo(d16, hn::PromoteTo(di, hn::LoadU(d8, left + x))), d16, grey + x);
+    hn::StoreU(hn::DemoteTo(d16, hn::IfThenElseZero(valid, weight)), d16, factor + x);
+    highest = std::max(highest, static_cast<int>(hn::GetLane(hn::MaxOfLanes(di, bins))));
+  };
+  const hn::ScalableTag<float> d;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  int x = 0;
+  for (; x + lanes <= width; x += lanes) fill(d, x);
+  for (; x < width; ++x) fill(hn::CappedTag<float, 1>(), x);
+  return highest;
 }
 
 // Of one pixel: the weighted median of the bins around it. The pointers are those of the upper left corner of its
@@ -150,15 +186,13 @@ namespace iris::stereo {
 
 HWY_EXPORT(outvoted);
 HWY_EXPORT(median_bin);
+HWY_EXPORT(fill_planes);
 HWY_EXPORT(find_steps);
 
 namespace {
 
 constexpr int kRowsPerChunk = 16;
 constexpr int kRowsPerMedian = 40;  // with as many rows above and below as windows reach
-constexpr int kBins = 1024;         // [px]
-constexpr int kNoBin = -8192;       // farther from any bin than bins are from each other
-constexpr int kMeasuredWeight = 5, kInterpolatedWeight = 3;
 
 // What windows of the rows y0 … y1 - 1 are made of, with kMedianRadius pixels of weight 0 around the image (and room
 // for a tile behind). Row 0 is the image's row y0 - kMedianRadius.
@@ -177,25 +211,11 @@ struct Planes {
         std::fill_n(row, inside ? kMedianRadius : size.width, static_cast<int16_t>(nothing));
         if (inside) std::fill(row + kMedianRadius + left.cols, row + size.width, static_cast<int16_t>(nothing));
       }
-      if (inside) fill(left[y], image.disparity[y], image.origin[y], left.cols, v);
-    }
-  }
-
- private:
-  void fill(const uint8_t* left, const float* d, const uint8_t* origin, int width, int v) {
-    int16_t* const bins = bin[v] + kMedianRadius;
-    int16_t* const greys = grey[v] + kMedianRadius;
-    int16_t* const factors = factor[v] + kMedianRadius;
-    for (int x = 0; x < width; ++x) {
-      const int rounded = std::min(kBins - 1, static_cast<int>(d[x] + 0.5f));
-      bins[x] = static_cast<int16_t>(d[x] > 0 ? rounded : kNoBin);
-    }
-    highest = std::max<int>(highest, *std::max_element(bins, bins + width));
-    for (int x = 0; x < width; ++x) greys[x] = left[x];
-    for (int x = 0; x < width; ++x) {
-      const bool measured = origin[x] <= static_cast<uint8_t>(DisparityOrigin::corrected);
-      const int weight = measured ? kMeasuredWeight : kInterpolatedWeight;
-      factors[x] = static_cast<int16_t>(bins[x] >= 0 ? weight : 0);
+      if (!inside) continue;
+      const int row_highest =
+          HWY_DYNAMIC_DISPATCH(fill_planes)(left[y], image.disparity[y], image.origin[y], left.cols,
+                                            bin[v] + kMedianRadius, grey[v] + kMedianRadius, factor[v] + kMedianRadius);
+      highest = std::max(highest, row_highest);
     }
   }
 };
@@ -260,18 +280,19 @@ void guided_median(const cv::Mat1b& left, DisparityImage& image) {
   parallel_chunks(0, disparity.rows, kRowsPerMedian, [&](int y0, int y1) {
     const auto is_set = [](uint8_t value) { return value != 0; };
     std::optional<Planes> planes;
+    std::vector<uint8_t> wanted(disparity.cols + kTile, 0);
     std::array<int16_t, kTile> loses;
     for (int y = y0; y < y1; ++y) {
-      const uint8_t* const wanted = near[y];
+      std::copy_n(near[y], disparity.cols, wanted.begin());
       for (int x0 = 0; x0 < disparity.cols; x0 += kTile) {
         const int x1 = std::min(x0 + kTile, disparity.cols);
-        if (std::none_of(wanted + x0, wanted + x1, is_set)) continue;
+        if (std::none_of(wanted.begin() + x0, wanted.begin() + x1, is_set)) continue;
         if (!planes) planes.emplace(left, image, y0, y1);
         const ptrdiff_t stride = static_cast<ptrdiff_t>(planes->bin.step1());
         const int16_t* const bin = planes->bin[y - y0];
         const int16_t* const grey = planes->grey[y - y0];
         const int16_t* const factor = planes->factor[y - y0];
-        HWY_DYNAMIC_DISPATCH(outvoted)(bin + x0, grey + x0, factor + x0, stride, loses.data());
+        HWY_DYNAMIC_DISPATCH(outvoted)(bin + x0, grey + x0, factor + x0, stride, wanted.data() + x0, loses.data());
         for (int x = x0; x < x1; ++x) {
           if (wanted[x] == 0 || loses[x - x0] == 0 || !(disparity[y][x] > 0)) continue;
           const int median = HWY_DYNAMIC_DISPATCH(median_bin)(bin + x, grey + x, factor + x, stride, planes->highest);

@@ -39,14 +39,20 @@ Estimate along_line(const Neighbour& a, const Neighbour& b) {
 }
 
 // The smallest disparity or, if there are two, the second smallest.
-float smallest(const std::array<Neighbour, 4>& neighbours, bool second) {
-  float first = std::numeric_limits<float>::infinity(), next = first;
+Estimate smallest(const std::array<Neighbour, 4>& neighbours, bool second) {
+  constexpr Estimate kNone = {std::numeric_limits<float>::infinity(), -1};
+  Estimate first = kNone, next = kNone;
   for (const Neighbour& neighbour : neighbours) {
     if (neighbour.distance == 0) continue;
-    next = std::min(next, std::max(first, neighbour.disparity));
-    first = std::min(first, neighbour.disparity);
+    const Estimate estimate = {neighbour.disparity, neighbour.segment};
+    if (estimate.disparity < first.disparity) {
+      next = first;
+      first = estimate;
+    } else if (estimate.disparity < next.disparity) {
+      next = estimate;
+    }
   }
-  return second && next < std::numeric_limits<float>::infinity() ? next : first;
+  return second && next.segment >= 0 ? next : first;
 }
 
 // Whether the gap between two neighbours in a row is the strip of background that an object at the right hides from the
@@ -75,7 +81,7 @@ void set_origins(const int* __restrict label, const uint8_t* __restrict correcte
 }  // namespace
 
 DisparityImage interpolate(const cv::Mat1f& disparity, const cv::Mat1b& corrected, const Segments& segments,
-                           const InterpolationParameters& parameters) {
+                           const InterpolationParameters& parameters, cv::Mat1i* source) {
   const Interpolation mode = parameters.mode;
   const int width = disparity.cols, height = disparity.rows;
   IRIS_CHECK(height <= std::numeric_limits<int16_t>::max());
@@ -83,6 +89,7 @@ DisparityImage interpolate(const cv::Mat1f& disparity, const cv::Mat1b& correcte
   DisparityImage out;
   out.disparity = disparity.clone();
   out.origin.create(disparity.size());
+  if (source != nullptr) *source = cv::Mat1i(disparity.size(), -1);
   // Rows of the nearest valid pixels above and below, -1 = none.
   cv::Mat1s above, below;
   if (mode != Interpolation::off) {
@@ -124,19 +131,20 @@ DisparityImage interpolate(const cv::Mat1f& disparity, const cv::Mat1b& correcte
       const bool within = left.segment >= 0 && left.segment == right.segment && left.segment == top.segment &&
                           left.segment == bottom.segment;
       if (!within && mode != Interpolation::everywhere) continue;
-      float value;
+      Estimate estimate;
       if (!in_row) {
-        value = along_line(top, bottom).disparity;
+        estimate = along_line(top, bottom);
       } else if (!in_column || row_alone) {
-        value = along_line(left, right).disparity;
+        estimate = along_line(left, right);
       } else if (strip) {
-        value = left.disparity;
+        estimate = {left.disparity, left.segment};
       } else {
         const Estimate row = along_line(left, right), column = along_line(top, bottom);
-        value = row.segment == column.segment ? 0.5f * (row.disparity + column.disparity)
-                                              : smallest({left, right, top, bottom}, parameters.second_smallest);
+        estimate = row.segment == column.segment ? Estimate{0.5f * (row.disparity + column.disparity), row.segment}
+                                                 : smallest({left, right, top, bottom}, parameters.second_smallest);
       }
-      values[x] = value;
+      values[x] = estimate.disparity;
+      if (source != nullptr) (*source)(y, x) = estimate.segment;
       origins[x] = static_cast<uint8_t>(within ? DisparityOrigin::within_segment : DisparityOrigin::between_segments);
     }
   };

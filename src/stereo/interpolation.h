@@ -30,7 +30,9 @@ struct InterpolationParameters {
 //       - row and column both lead to one segment by (3.5), (3.6): the mean of both (3.7);
 //       - otherwise the smallest of the neighbours, the background; or the second smallest: one wrong small disparity
 //         among the four then does not spread over the gap.
+//
+// source (may be null): for each filled pixel the segment whose disparity it has, -1 elsewhere.
 DisparityImage interpolate(const cv::Mat1f& disparity, const cv::Mat1b& corrected, const Segments& segments,
-                           const InterpolationParameters& parameters);
+                           const InterpolationParameters& parameters, cv::Mat1i* source = nullptr);
 
 }  // namespace iris::stereo

@@ -14,6 +14,7 @@
 #include "iris/core/error.h"
 #include "log_filter.h"
 #include "median.h"
+#include "plane_fill.h"
 #include "semi_global.h"
 
 namespace iris::stereo {
@@ -190,6 +191,10 @@ void MwmfOptions::declare(OptionSet& set) {
   set.add("gaps", gaps, {"smallest", "second_smallest"},
           "Which of its four neighbours fills a gap between surfaces: the smallest disparity, as in the thesis, or the "
           "second smallest, which forgives one wrong neighbour.");
+  set.add(
+      "extrapolation", extrapolation, {"parallel", "plane"},
+      "How a surface goes on in large gaps: parallel = at the disparity of its border, as in the thesis; plane = on "
+      "the plane through its disparities next to the gap, where they lie on one.");
   set.add("left_from_right", left_from_right,
           "The strip at the left edge, which the right camera does not see, continues its right neighbour.");
   set.add("hidden_strips", hidden_strips,
@@ -231,6 +236,7 @@ void MwmfOptions::apply_preset() {
     min_margin = 1.5;
     border_reach = 2;
     min_segment = 100;
+    extrapolation = "plane";
   }
 }
 
@@ -261,7 +267,10 @@ DisparityImage mwmf(const cv::Mat1b& left, const cv::Mat1b& right, const MwmfOpt
   interpolation.second_smallest = parse<bool>(options.gaps, {{"smallest", false}, {"second_smallest", true}});
   interpolation.left_from_right = options.left_from_right;
   interpolation.hidden_strips = options.hidden_strips;
-  DisparityImage out = interpolate(disparity, corrected, segments, interpolation);
+  const bool planes = options.extrapolation == "plane" && interpolation.mode == Interpolation::everywhere;
+  cv::Mat1i source;
+  DisparityImage out = interpolate(disparity, corrected, segments, interpolation, planes ? &source : nullptr);
+  if (planes) fill_planes(disparity, segments, source, kSmallestDisparity, {}, out);
   if (options.median == "plain") out.disparity = plain_median(out.disparity);
   if (options.median == "guided") guided_median(left, out);
   return out;

@@ -35,9 +35,10 @@ struct MwmfOptions {
   int min_segment = 80;                  // [px] smaller segments are errors (3.4.1); 0 = off
   double segment_tolerance = 1.0;        // [px] step of disparity that separates segments
   std::string gaps = "second_smallest";  // smallest | second_smallest of the neighbours fills gaps between segments
-  bool left_from_right = true;           // the strip at the left edge continues its right neighbour
-  bool hidden_strips = true;             // strips hidden by an object continue their left neighbour
-  std::string median = "guided";         // off | plain | guided: median at the end
+  std::string extrapolation = "parallel";  // parallel | plane: how a surface goes on in large gaps (ch. 10)
+  bool left_from_right = true;             // the strip at the left edge continues its right neighbour
+  bool hidden_strips = true;               // strips hidden by an object continue their left neighbour
+  std::string median = "guided";           // off | plain | guided: median at the end
 
   void declare(OptionSet& set);
 

@@ -347,7 +347,8 @@ std::optional<Eigen::Vector3d> direction_in(const std::string& text) {
 std::optional<Alignment> by_surfaces(const std::vector<PoseNode>& nodes, const Surfaces& surfaces,
                                      const Eigen::Vector3d& prior, std::string& problem) {
   constexpr double kMaxSigma = 0.7 * kDegree;
-  constexpr double kLeastPieces = 60, kLeastArea = 0.5;  // [m^2]
+  constexpr double kLeastPieces = 60, kLeastArea = 0.5;     // [m^2]
+  constexpr double kLeastOther = 2.0, kMaxOtherRms = 0.04;  // [m^2], [m]
   const std::optional<Eigen::Vector3d> rough = dominant_direction(surfaces, prior);
   if (!rough) {
     problem = "no horizontal surface was seen";
@@ -383,6 +384,11 @@ std::optional<Alignment> by_surfaces(const std::vector<PoseNode>& nodes, const S
       underneath += height < -0.1 - 4 * height_sigma(piece, up);
     }
     if (above < 0.9 * static_cast<double>(nodes.size()) || underneath > 0.2 * floor->count) floor = nullptr;
+  }
+  // A single surface that need not be a floor might be anything that slants: it must be large and even.
+  if (!floor && (largest->count * area_of_piece < kLeastOther || largest->rms > kMaxOtherRms)) {
+    problem = "no floor was seen, and no other large horizontal surface";
+    return std::nullopt;
   }
   const Level& level = floor ? *floor : *largest;
   Alignment alignment = upright(nodes.front(), up, "");

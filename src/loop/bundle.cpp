@@ -31,6 +31,9 @@ void BundleOptions::declare(OptionSet& set) {
           "correct the disparity offset and the focal length when bundle adjustment shows that they are off");
   set.add("min_offset", min_offset, "px", 0, 10,
           "a disparity offset below this is not corrected; matching alone has such errors");
+  set.add("max_offset", max_offset, "px", 0, 100,
+          "a larger disparity offset is reported, not corrected: then more is wrong than that");
+  set.add("max_focal", max_focal, "", 0, 1, "a larger error of the focal length is reported, not corrected");
   set.add("min_focal", min_focal, "", 0, 1, "an error of the focal length below this part is not corrected");
   set.add("bundle_sigma", sigma, "times", 0.1, 100,
           "standard deviations after bundle adjustment are taken this many times as large as its residuals say");
@@ -60,6 +63,7 @@ ObservationResidual observe(const RectifiedCamera& camera, const Pose& world_fro
 namespace {
 
 constexpr int kCalibration = 3;
+constexpr double kLeastRoll = 1e-3;       // [rad] smaller ones change disparities by a quarter of a pixel at most
 constexpr double kWidth = 3;              // [standard deviations] of Cauchy's loss
 constexpr double kScaleOfMedian = 2.366;  // median of the chi-square distribution with three degrees of freedom
 
@@ -648,13 +652,16 @@ std::vector<Bridge> bridges_between(const Views& views, const std::vector<Landma
 }
 
 std::string words_of(const CalibrationCorrection& c) {
-  const auto verdict = [](const Estimated& e) { return e.applied ? ", corrected" : ""; };
+  const auto verdict = [](const Estimated& e) { return e.applied ? ", corrected" : (e.off ? ", not corrected" : ""); };
   constexpr double kDegrees = 180 / M_PI;
   return fmt::format(
       "disparity offset {:+.2f} ± {:.2f} px{}; focal length {:+.2f} ± {:.2f} %{}; right camera turned by {:+.3f} ± "
-      "{:.3f} deg about its axis",
+      "{:.3f} deg about its axis{}",
       c.disparity_offset.value, c.disparity_offset.sigma, verdict(c.disparity_offset), 100 * c.focal.value,
-      100 * c.focal.sigma, verdict(c.focal), kDegrees * c.roll.value, kDegrees * c.roll.sigma);
+      100 * c.focal.sigma, verdict(c.focal), kDegrees * c.roll.value, kDegrees * c.roll.sigma,
+      (c.disparity_offset.off && !c.disparity_offset.applied) || (c.focal.off && !c.focal.applied) || c.roll.off
+          ? ": calibrate again"
+          : "");
 }
 
 // The poses of all nodes from those of the views, see BundleResult.
@@ -764,12 +771,14 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
       options.sigma * few * robust_sigma(adjuster.squares(free_state)) * adjuster.calibration_sigma(free_state);
   Estimated* const estimates[] = {&result.calibration.disparity_offset, &result.calibration.focal,
                                   &result.calibration.roll};
-  const double least[] = {options.min_offset, options.min_focal, std::numeric_limits<double>::infinity()};
+  const double least[] = {options.min_offset, options.min_focal, kLeastRoll};
+  const double most[] = {options.max_offset, options.max_focal, 0};
   Eigen::Array3d free = none;
   for (int k = 0; k < kCalibration; ++k) {
     const double value = free_state.calibration(k);
-    const bool applied = options.calibrate && std::abs(value) > 3 * calibration_sigma(k) && std::abs(value) > least[k];
-    *estimates[k] = {value, calibration_sigma(k), applied};
+    const bool off = std::abs(value) > 3 * calibration_sigma(k) && std::abs(value) > least[k];
+    const bool applied = options.calibrate && off && std::abs(value) <= most[k];
+    *estimates[k] = {.value = value, .sigma = calibration_sigma(k), .off = off, .applied = applied};
     free(k) = applied ? 1 : 0;
     if (applied) state.calibration(k) = value;
   }

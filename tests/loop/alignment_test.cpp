@@ -163,6 +163,17 @@ TEST(Align, TakesThePathWithoutHorizontalSurfaces) {
   EXPECT_EQ((walk.align("path").world_from_graph.matrix()), alignment.world_from_graph.matrix());
 }
 
+// A slanting board is no floor, even if it is all there is.
+TEST(Align, DoesNotTrustASmallSurface) {
+  Walk walk{.scene = empty_room()};
+  walk.scene.rectangles.erase(walk.scene.rectangles.begin(), walk.scene.rectangles.begin() + 2);
+  walk.scene.rectangles.push_back({V(-0.6, 0.4, 2.0), V(1.2, 0.3, 0), V(0, 0, 1.0), 0.6});
+  for (int n = 0; n < 6; ++n) walk.place_from_cam.push_back(Pose(Eigen::Translation3d(0, 0, 0.1 * n)));
+  const Alignment alignment = walk.align();
+  EXPECT_THAT(alignment.used, HasSubstr("first camera"));
+  EXPECT_LT(walk.error(alignment), 1e-6);
+}
+
 // A camera that looks down at the ground, as on a drone: its own upright says nothing.
 TEST(Align, UnderstandsACameraThatLooksDown) {
   Walk walk{.scene = empty_room()};

@@ -174,6 +174,16 @@ TEST(Bundle, FindsAnOffsetOfTheDisparities) {
   EXPECT_LT(std::abs(errors.scale_error), 0.002) << before;
   EXPECT_LT(errors.absolute.translation.rmse, 0.01);
   EXPECT_LT(result.rms_after, 0.2);
+
+  // If it is said to be too large, it is told and left as it is; likewise if nothing shall be corrected.
+  for (const BundleOptions& options : {BundleOptions{.max_offset = 0.12}, BundleOptions{.calibrate = false}}) {
+    const BundleResult kept = session.bundle(options);
+    EXPECT_TRUE(kept.calibration.disparity_offset.off);
+    EXPECT_FALSE(kept.calibration.disparity_offset.applied);
+    EXPECT_THAT(kept.calibration.words, HasSubstr("not corrected"));
+    EXPECT_THAT(kept.calibration.words, HasSubstr("calibrate again"));
+    EXPECT_EQ(kept.camera.disparity_offset, session.camera.disparity_offset);
+  }
 }
 
 TEST(Bundle, LeavesAGoodCalibrationAlone) {
@@ -185,6 +195,7 @@ TEST(Bundle, LeavesAGoodCalibrationAlone) {
   EXPECT_FALSE(result.calibration.focal.applied) << result.calibration.words;
   EXPECT_FALSE(result.calibration.roll.applied);
   EXPECT_THAT(result.calibration.words, Not(HasSubstr("corrected")));
+  EXPECT_THAT(result.calibration.words, Not(HasSubstr("calibrate again")));
   EXPECT_EQ(result.camera.disparity_offset, session.camera.disparity_offset);
   // Poses are hardly worse than odometry's, which knows twice as many frames.
   EXPECT_LT(session.errors(result.nodes).absolute.translation.rmse,

@@ -21,6 +21,8 @@ struct BundleOptions {
   bool calibrate = true;     // correct the disparity offset and the focal length if they are off significantly
   double min_offset = 0.1;   // [px] a smaller disparity offset is not corrected: matching alone has such errors
   double min_focal = 0.002;  // [parts] a smaller error of the focal length is not corrected
+  double max_offset = 1.0;   // [px] a larger one is reported only: then more than the offset is wrong
+  double max_focal = 0.02;   // [parts] the same for the focal length
   double sigma = 3.0;        // standard deviations are taken this many times as large as residuals say: errors of
                              // neighbouring views and points go together
   int max_iterations = 30;
@@ -31,7 +33,8 @@ struct BundleOptions {
 // An estimate with its standard deviation.
 struct Estimated {
   double value = 0, sigma = 0;
-  bool applied = false;
+  bool off = false;      // significantly, and by more than matching alone may bring
+  bool applied = false;  // corrected
 };
 
 // What the recording says about its calibration.

@@ -40,10 +40,30 @@ Eigen::Vector2d disparity_slope(const DisparityImage& image, const Corner& corne
   return {(vv * ud - uv * vd) / det, (uu * vd - uv * ud) / det};
 }
 
+// Whether all disparities that a tracked square can reach, turned or a little scaled, belong to the corner's plane.
+bool is_alone(const DisparityImage& image, const Corner& corner) {
+  constexpr int kReach = 11;
+  const int cx = static_cast<int>(std::lround(corner.x)), cy = static_cast<int>(std::lround(corner.y));
+  const int begin = std::max(0, cx - kReach), end = std::min(image.disparity.cols, cx + kReach + 1);
+  const auto slope = static_cast<float>(corner.slope.x());
+  for (int y = std::max(0, cy - kReach); y < std::min(image.disparity.rows, cy + kReach + 1); ++y) {
+    const float* row = image.disparity[y];
+    const auto at_0 =
+        static_cast<float>(corner.disparity + corner.slope.y() * (y - corner.y) - corner.slope.x() * corner.x);
+    int others = 0;
+    for (int x = begin; x < end; ++x) {
+      const float expected = at_0 + slope * static_cast<float>(x);
+      others += (row[x] > 0) & (std::abs(row[x] - expected) > kSameSurface) ? 1 : 0;
+    }
+    if (others > 0) return false;
+  }
+  return true;
+}
+
 }  // namespace
 
 TrackedSurface corner_surface(const DisparityImage& disparity, const Corner& corner) {
-  return {&disparity.disparity, corner.disparity, corner.slope};
+  return {corner.alone ? nullptr : &disparity.disparity, corner.disparity, corner.slope};
 }
 
 // Each of both images contributes half of the noise; but that is found too small by half: images are smooth, since they
@@ -58,6 +78,7 @@ Eigen::Matrix2d position_covariance(const PatchTrack& track) {
 void measure_disparities(ViewFeatures& view, const RectifiedCamera& camera) {
   for (Corner& corner : view.corners) {
     corner.slope = disparity_slope(view.disparity, corner);
+    corner.alone = is_alone(view.disparity, corner);
     if (view.right.empty()) continue;
     Eigen::Matrix3d warp = Eigen::Matrix3d::Identity();
     warp(0, 0) -= corner.slope.x();

@@ -57,10 +57,12 @@ std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>
 
 std::vector<Correspondence> predicted_matches(const ViewFeatures& prev, const ViewFeatures& cur,
                                               const Pose& prev_from_cur, const RectifiedCamera& camera,
-                                              const ScsOptions& options) {
+                                              const ScsOptions& options, int most_corners) {
   const Pose cur_from_prev = prev_from_cur.inverse();
   std::vector<Correspondence> result;
-  for (int i = 0; i < static_cast<int>(prev.corners.size()); ++i) {
+  const int all = static_cast<int>(prev.corners.size());
+  const int count = most_corners > 0 ? std::min(most_corners, all) : all;
+  for (int i = 0; i < count; ++i) {
     const Corner& corner = prev.corners[i];
     const Eigen::Vector3d q = cur_from_prev * corner.point_in_cam;
     if (!(q.z() > 0)) continue;

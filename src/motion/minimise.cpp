@@ -69,7 +69,7 @@ MinimisedMotion finished(MinimisedMotion result, const RectifiedCamera& camera, 
     return result;
   }
   std::vector<Eigen::Vector2d> places;
-  for (const PointPair& pair : pairs) places.emplace_back(camera.project(pair.prev).head<2>());
+  for (const PointPair& pair : pairs) places.emplace_back(camera.project(pair.cur).head<2>());
   Matrix6d sum = Matrix6d::Zero();
   for (size_t i = 0; i < pairs.size(); ++i) {
     Vector6d neighbours = contributions[i] / 2;
@@ -135,6 +135,7 @@ MinimisedMotion minimise_ellipsoid(const RectifiedCamera& camera, const std::vec
 struct ImagePoint {
   Eigen::Vector3d seen_prev, seen_cur;  // measured image coordinates [px]
   Eigen::Vector3d point;                // in the current camera [m]
+  Pose seeing_from_prev;                // of the camera that saw seen_prev
   Eigen::Matrix3d whitening;            // as in PointPair
   // Of the last linearisation, by the point in the previous camera:
   Eigen::Matrix3d prev_hessian;     // what the previous view contributes
@@ -153,6 +154,7 @@ std::vector<ImagePoint> image_points(const RectifiedCamera& camera, const std::v
     points[i].seen_prev = reconstruct::image_coordinates(camera, pairs[i].prev);
     points[i].seen_cur = reconstruct::image_coordinates(camera, pairs[i].cur);
     points[i].point = pairs[i].cur;
+    points[i].seeing_from_prev = pairs[i].prev_from_seeing.inverse();
     points[i].whitening = pairs[i].whitening;
   }
   return points;
@@ -161,7 +163,7 @@ std::vector<ImagePoint> image_points(const RectifiedCamera& camera, const std::v
 // Squared error in units of pixel_error^2; infinite if the point lies behind a camera.
 double image_square(const RectifiedCamera& camera, const ImagePoint& point, const Eigen::Vector3d& at,
                     double pixel_error, const Pose& prev_from_cur) {
-  const Eigen::Vector3d in_prev = prev_from_cur * at;
+  const Eigen::Vector3d in_prev = point.seeing_from_prev * (prev_from_cur * at);
   if (!(at.z() > 0) || !(in_prev.z() > 0)) return std::numeric_limits<double>::infinity();
   return ((point.whitening * (reconstruct::image_coordinates(camera, in_prev) - point.seen_prev)).squaredNorm() +
           (point.whitening * (reconstruct::image_coordinates(camera, at) - point.seen_cur)).squaredNorm()) /
@@ -181,11 +183,11 @@ MotionCost linearise(const RectifiedCamera& camera, std::vector<ImagePoint>& poi
   const Eigen::Matrix3d& r = prev_from_cur.linear();
   for (ImagePoint& point : points) {
     point.turned = r * point.point;
-    const Eigen::Vector3d in_prev = point.turned + prev_from_cur.translation();
+    const Eigen::Vector3d in_prev = point.seeing_from_prev * (point.turned + prev_from_cur.translation());
     const Eigen::Matrix3d w = scale * point.whitening;
     const Eigen::Vector3d of_prev = w * (reconstruct::image_coordinates(camera, in_prev) - point.seen_prev);
     const Eigen::Vector3d of_cur = w * (reconstruct::image_coordinates(camera, point.point) - point.seen_cur);
-    const Eigen::Matrix3d by_prev = w * reconstruct::image_jacobian(camera, in_prev);
+    const Eigen::Matrix3d by_prev = w * reconstruct::image_jacobian(camera, in_prev) * point.seeing_from_prev.linear();
     const Eigen::Matrix3d by_cur = w * reconstruct::image_jacobian(camera, point.point) * r.transpose();
     const Eigen::Vector3d prev_gradient = by_prev.transpose() * of_prev;
     point.prev_hessian = by_prev.transpose() * by_prev;

@@ -111,6 +111,11 @@ MinimisedMotion minimise(const RectifiedCamera& camera, const std::vector<PointP
   return result;
 }
 
+Matrix6d inflated_covariance(const MinimisedMotion& minimised) {
+  const double factor = minimised.variance_factor;
+  return minimised.covariance * (std::max(1.0, kUnexplained * factor) / std::max(1.0, factor));
+}
+
 // Root mean square of the image based residuals over the eight coordinates of each pair [px].
 double image_rms(const RectifiedCamera& camera, const std::vector<PointPair>& pairs, const Pose& motion) {
   double sum = 0;
@@ -180,8 +185,7 @@ void refine(TracedMotion& motion, std::vector<Correspondence> correspondences, c
   }
   if (!well_determined(at, correspondences, camera, options)) return;
   estimate.prev_from_cur = at;
-  const double factor = minimised.variance_factor;
-  estimate.covariance = minimised.covariance * (std::max(1.0, kUnexplained * factor) / std::max(1.0, factor));
+  estimate.covariance = inflated_covariance(minimised);
   estimate.status = MotionStatus::ok;
   motion.used = std::move(correspondences);
 }
@@ -301,6 +305,14 @@ void ScsOptions::declare(OptionSet& set) {
   set.add("max_translation_error", max_translation_error, "", 0.0001, 10,
           "a motion whose translation is less certain than this part of the points' median depth (one standard "
           "deviation) is rejected");
+  set.add("window", window, "", 1, 50,
+          "earlier views that a motion is measured against at once, for less drift (with the model image); 1 = the "
+          "previous view only (thesis)");
+  set.add("window_corners", window_corners, "", 8, 4000,
+          "most corners that each of these earlier views adds to those of the previous one");
+  set.add("rest", rest, "px", 0, 100,
+          "when the corners moved by less than this in the middle, the camera rests: the following views are measured "
+          "against the same earlier view, so that errors do not add up; 0 = off");
   set.add("retry_views", retry_views, "", 0, 100, "earlier views that a failed estimate is retried against");
   set.add("rescue", rescue,
           "when all of these fail, try them again with many more corners and with SIFT; slow, but on failures only");
@@ -366,6 +378,30 @@ TracedMotion confirmed(const TracedMotion& motion, const ViewFeatures& prev, con
                        .consistent = result.estimate.consistent};
     result.used.clear();
   }
+  return result;
+}
+
+TracedMotion with_window(const TracedMotion& motion, const std::vector<WindowView>& others, const ViewFeatures& cur,
+                         const RectifiedCamera& camera, const ScsOptions& options) {
+  if (options.model != "image") return motion;
+  const Pose& guess = motion.estimate.prev_from_cur;
+  std::vector<PointPair> pairs = points_of(motion.used, options.pixel_error);
+  for (const WindowView& other : others) {
+    const Pose other_from_cur = other.prev_from_view.inverse() * guess;
+    std::vector<Correspondence> seen =
+        predicted_matches(*other.features, cur, other_from_cur, camera, options, options.window_corners);
+    if (options.reject_suspicious) seen = without_suspicious(seen, other_from_cur, camera, options.pixel_error);
+    if (static_cast<int>(seen.size()) < options.min_used) continue;
+    for (PointPair& pair : points_of(seen, options.pixel_error)) {
+      pair.prev_from_seeing = other.prev_from_view;
+      pairs.push_back(pair);
+    }
+  }
+  const MinimisedMotion minimised = minimise(camera, pairs, options, guess);
+  if (!minimised.converged) return motion;
+  TracedMotion result = motion;
+  result.estimate.prev_from_cur = minimised.prev_from_cur;
+  result.estimate.covariance = inflated_covariance(minimised);
   return result;
 }
 

@@ -9,8 +9,7 @@ namespace iris::motion {
 namespace {
 
 constexpr int kHalf = kTrackWindow / 2;
-constexpr int kRow = 16;              // values a row: a whole number of vectors; the last is 0
-constexpr float kSameSurface = 0.8f;  // [px] least difference of disparity from another surface
+constexpr int kRow = 16;      // values a row: a whole number of vectors; the last is 0
 constexpr float kScale = 16;  // steps a grey level: sums of products of two such values over the square fit 32 bits
 
 using Square = std::array<int16_t, kTrackWindow * kRow>;
@@ -44,6 +43,7 @@ bool sample_template(const cv::Mat1b& image, const Eigen::Vector2d& at, const Ei
                      const TrackedSurface& surface, Template& result) {
   constexpr int kSide = kTrackWindow + 2;  // one more on each side for the gradients
   constexpr int kReach = kHalf + 1;
+  constexpr int kFar = 256;
   const Eigen::Matrix3d h = from_from_to / from_from_to(2, 2);
   // Within the square the denominator is linear, and so positive where its corners' are; images of lines are lines, so
   // that all samples lie between those of the corners.
@@ -53,38 +53,51 @@ bool sample_template(const cv::Mat1b& image, const Eigen::Vector2d& at, const Ei
       if (!(p.z() > 0.5)) return false;
       const Eigen::Vector2d q = at + p.head<2>() / p.z();
       if (!(q.x() >= 0 && q.y() >= 0 && q.x() < image.cols - 1 && q.y() < image.rows - 1)) return false;
+      if ((q - at).cwiseAbs().maxCoeff() >= kFar) return false;
     }
   }
   const Eigen::Matrix3f f = h.cast<float>();
-  const int left = static_cast<int>(at.x()), top = static_cast<int>(at.y());
+  // Positions relative to a pixel far to the upper left are positive, and short numbers.
+  const int left = static_cast<int>(at.x()) - kFar, top = static_cast<int>(at.y()) - kFar;
   const Eigen::Vector2f rest = (at - Eigen::Vector2d(left, top)).cast<float>();
   const auto slope_x = static_cast<float>(surface.slope.x()), slope_y = static_cast<float>(surface.slope.y());
-  const auto plane_at_0 = static_cast<float>(surface.at_point - surface.slope.dot(at));
+  const auto plane = static_cast<float>(surface.at_point - surface.slope.dot(at - Eigen::Vector2d(left, top)));
   std::array<std::array<int16_t, kSide>, kSide> v, inside;
   for (auto& row : inside) row.fill(1);
   for (int j = 0; j < kSide; ++j) {
-    float xs[kSide], ys[kSide];
-    for (int i = 0; i < kSide; ++i) {
+    constexpr int kWidth = 20;  // a whole number of vectors; what lies beyond the square is not used
+    std::array<float, kWidth> fx, fy, upper_left{}, upper_right{}, lower_left{}, lower_right{};
+    std::array<int32_t, kWidth> x, y, value;
+    for (int i = 0; i < kWidth; ++i) {
       const float a = static_cast<float>(i - kReach), b = static_cast<float>(j - kReach);
       const float scale = 1 / (f(2, 0) * a + f(2, 1) * b + 1);
-      xs[i] = rest.x() + (f(0, 0) * a + f(0, 1) * b + f(0, 2)) * scale;
-      ys[i] = rest.y() + (f(1, 0) * a + f(1, 1) * b + f(1, 2)) * scale;
+      const float px = rest.x() + (f(0, 0) * a + f(0, 1) * b + f(0, 2)) * scale;
+      const float py = rest.y() + (f(1, 0) * a + f(1, 1) * b + f(1, 2)) * scale;
+      x[i] = static_cast<int32_t>(px);
+      y[i] = static_cast<int32_t>(py);
+      fx[i] = px - static_cast<float>(x[i]);
+      fy[i] = py - static_cast<float>(y[i]);
     }
     for (int i = 0; i < kSide; ++i) {
-      const float floor_x = std::floor(xs[i]), floor_y = std::floor(ys[i]);
-      const int x = left + static_cast<int>(floor_x), y = top + static_cast<int>(floor_y);
-      const float fx = xs[i] - floor_x, fy = ys[i] - floor_y;
-      const uint8_t *above = image[y] + x, *below = image[y + 1] + x;
-      const float upper = above[0] + fx * static_cast<float>(above[1] - above[0]);
-      const float lower = below[0] + fx * static_cast<float>(below[1] - below[0]);
-      v[j][i] = static_cast<int16_t>(kScale * (upper + fy * (lower - upper)) + 0.5f);
-      if (surface.disparity) {
-        const int nearest_x = x + (fx >= 0.5f ? 1 : 0), nearest_y = y + (fy >= 0.5f ? 1 : 0);
-        const float d = (*surface.disparity)(nearest_y, nearest_x);
-        const float plane =
-            plane_at_0 + slope_x * static_cast<float>(nearest_x) + slope_y * static_cast<float>(nearest_y);
-        inside[j][i] = !(d > 0) || std::abs(d - plane) <= kSameSurface ? 1 : 0;
-      }
+      const uint8_t* above = image[top + y[i]] + left + x[i];
+      const uint8_t* below = above + image.step[0];
+      upper_left[i] = above[0];
+      upper_right[i] = above[1];
+      lower_left[i] = below[0];
+      lower_right[i] = below[1];
+    }
+    for (int i = 0; i < kWidth; ++i) {
+      const float upper = upper_left[i] + fx[i] * (upper_right[i] - upper_left[i]);
+      const float lower = lower_left[i] + fx[i] * (lower_right[i] - lower_left[i]);
+      value[i] = static_cast<int32_t>(kScale * (upper + fy[i] * (lower - upper)) + 0.5f);
+    }
+    for (int i = 0; i < kSide; ++i) v[j][i] = static_cast<int16_t>(value[i]);
+    if (surface.disparity == nullptr) continue;
+    for (int i = 0; i < kSide; ++i) {
+      const int nearest_x = x[i] + (fx[i] >= 0.5f ? 1 : 0), nearest_y = y[i] + (fy[i] >= 0.5f ? 1 : 0);
+      const float d = (*surface.disparity)(top + nearest_y, left + nearest_x);
+      const float expected = plane + slope_x * static_cast<float>(nearest_x) + slope_y * static_cast<float>(nearest_y);
+      inside[j][i] = !(d > 0) || std::abs(d - expected) <= kSameSurface ? 1 : 0;
     }
   }
   for (int j = 0; j < kTrackWindow; ++j) {
@@ -141,6 +154,7 @@ PatchTrack track(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat
   constexpr int kSteps = 20;
   constexpr double kRest = 0.005;  // [px] a step below this changes nothing
   constexpr double kFlat = 1.0;    // [(grey levels/px)^2] least mean squared gradient any way
+  constexpr double kFaint = 0.25;  // what shows the square with less contrast than this part does not show it
   constexpr int kLeast = kTrackWindow * kTrackWindow / 3;
   PatchTrack result;
   Template t;
@@ -191,11 +205,12 @@ PatchTrack track(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat
     if (move.head<2>().norm() >= kRest) continue;
     const double values = sums.values, of_square = square_sum(square, t.inside) - values * values / count;
     const double contrast = 1 - move(2);
+    if (!(contrast > kFaint)) return result;
     const double residual = of_square - 2 * contrast * with_square(2) + contrast * contrast * of_template;
     return {.found = true,
             .position = p,
             .similarity = with_square(2) / std::sqrt(std::max(of_template * of_square, 1.0)),
-            .covariance = std::max(residual, 0.0) / count * inverse.topLeftCorner<2, 2>()};
+            .covariance = std::max(residual, 0.0) / (count * contrast * contrast) * inverse.topLeftCorner<2, 2>()};
   }
   return result;
 }

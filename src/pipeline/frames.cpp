@@ -59,7 +59,8 @@ class FrameStream {
     item.pair = rectifier_.rectify(item.frame);
     item.frame = {};
     item.disparity = stereo::mwmf(item.pair.left, item.pair.right, stereo_);
-    item.features = motion::extract_features(item.pair.left, item.disparity, camera(), options_.motion, item.pair.right);
+    item.features =
+        motion::extract_features(item.pair.left, item.disparity, camera(), options_.motion, item.pair.right);
   }
 
  private:
@@ -108,6 +109,20 @@ int find_disparities(const session::Session& session, const Options& options) {
   return range.disparities;
 }
 
+// The last frames and what their motions refer to, ascending.
+std::vector<workspace::FrameRecord> remembered_frames(const workspace::Workspace& workspace, int count) {
+  std::map<int, workspace::FrameRecord> records;
+  for (const workspace::FrameRecord& record : workspace.last_posed_frames(count)) records[record.frame_idx] = record;
+  for (const workspace::FrameRecord& record : workspace.last_posed_frames(count)) {
+    if (record.reference_frame >= 0 && !records.contains(record.reference_frame)) {
+      records[record.reference_frame] = *workspace.frame(record.reference_frame);
+    }
+  }
+  std::vector<workspace::FrameRecord> result;
+  for (const auto& [frame_idx, record] : records) result.push_back(record);
+  return result;
+}
+
 // The chain's memory of the last frames, computed again as they were computed before the interruption.
 std::vector<motion::MotionChain::Restored> restore_frames(const FrameStream& stream,
                                                           const std::vector<workspace::FrameRecord>& records,
@@ -126,7 +141,9 @@ std::vector<motion::MotionChain::Restored> restore_frames(const FrameStream& str
                    .features = std::move(item.features),
                    .world_from_cam = records[i].submap_from_cam,
                    .submap = records[i].submap,
-                   .guessed = records[i].motion.status == MotionStatus::guessed};
+                   .guessed = records[i].motion.status == MotionStatus::guessed,
+                   .reference_frame = records[i].reference_frame,
+                   .reference_from_cam = records[i].motion.prev_from_cur};
   };
   const int count = static_cast<int>(records.size());
   parallel_chunks(0, count, random_access ? 1 : std::max(1, count), [&](int begin, int end) {
@@ -158,7 +175,7 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
   int last_view_submap = -1;
   if (first > 0) {
     spdlog::info("frames: going on behind frame {} of {}", first, session.size());
-    chain.restore(restore_frames(stream, workspace.last_posed_frames(chain.kept_views()), session.folder(),
+    chain.restore(restore_frames(stream, remembered_frames(workspace, chain.kept_views()), session.folder(),
                                  session.random_access()),
                   workspace.submap_count());
     if (const auto view = workspace.last_view_frame()) {

@@ -61,8 +61,8 @@ double normalised_error(double noise) {
       Images noisy{rendered()[i].left.clone(), rendered()[i].right.clone()};
       for (cv::Mat1b* image : {&noisy.left, &noisy.right})
         for (uint8_t& v : *image) v = cv::saturate_cast<uint8_t>(v + normal(random));
-      features[i] =
-          extract_features(noisy.left, stereo::mwmf(noisy.left, noisy.right, stereo_options), kCamera, options);
+      features[i] = extract_features(noisy.left, stereo::mwmf(noisy.left, noisy.right, stereo_options), kCamera,
+                                     options, noisy.right);
     }
   });
   double sum = 0;

@@ -424,9 +424,16 @@ TEST_F(Chain, GoesOnBitByBitAfterARestart) {
     for (int cut = 1; cut < 8; ++cut) {
       MotionChain chain(kCamera, options);
       std::vector<MotionChain::Restored> last;
-      for (int i = std::max(0, cut - 3); i < cut; ++i) {
+      std::vector<bool> needed(8, false);
+      for (int i = std::max(0, cut - chain.kept_views()); i < cut; ++i) {
+        needed[i] = true;
+        if (steps[i].reference_frame >= 0) needed[steps[i].reference_frame] = true;
+      }
+      for (int i = 0; i < cut; ++i) {
+        if (!needed[i]) continue;
         last.push_back({i, views()[i], steps[i].world_from_cam, steps[i].submap,
-                        steps[i].estimate.status == MotionStatus::guessed});
+                        steps[i].estimate.status == MotionStatus::guessed, steps[i].reference_frame,
+                        steps[i].estimate.prev_from_cur});
       }
       int submaps = 0;
       for (int i = 0; i < cut; ++i) submaps += steps[i].new_submap;

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
+#include <Eigen/LU>
 #include <numbers>
 #include <random>
 
@@ -10,6 +11,8 @@
 
 namespace iris::motion {
 namespace {
+
+const Eigen::Matrix2d kNone = Eigen::Matrix2d::Identity();  // neither turned nor scaled
 
 // A texture seen through a linear map: the grey value at x is that of the texture at `place` + m (x - centre).
 cv::Mat1b textured(const Eigen::Vector2d& centre, const Eigen::Matrix2d& m, double gain, double offset, double noise,
@@ -33,10 +36,10 @@ Eigen::Matrix2d similarity(double degrees, double scale) {
 
 TEST(TrackPatch, FindsAKnownPlaceToAFractionOfAPixel) {
   const Eigen::Vector2d at(40.3, 37.6);
-  const cv::Mat1b from = textured(at, Eigen::Matrix2d::Identity(), 1, 0, 0, 1);
+  const cv::Mat1b from = textured(at, kNone, 1, 0, 0, 1);
   for (const Eigen::Vector2d& place : {Eigen::Vector2d(44.9, 40.1), Eigen::Vector2d(41.25, 36.75)}) {
-    const cv::Mat1b to = textured(place, Eigen::Matrix2d::Identity(), 1, 0, 0, 1);
-    const PatchTrack track = track_patch(from, at, to, place + Eigen::Vector2d(1.3, -0.8), Eigen::Matrix2d(Eigen::Matrix2d::Identity()));
+    const cv::Mat1b to = textured(place, kNone, 1, 0, 0, 1);
+    const PatchTrack track = track_patch(from, at, to, place + Eigen::Vector2d(1.3, -0.8), kNone);
     ASSERT_TRUE(track.found);
     EXPECT_LT((track.position - place).norm(), 0.03);  // rounding to grey levels and bilinear sampling
     EXPECT_GT(track.similarity, 0.99);
@@ -45,7 +48,7 @@ TEST(TrackPatch, FindsAKnownPlaceToAFractionOfAPixel) {
 
 TEST(TrackPatch, FollowsTurnedAndScaledSurroundings) {
   const Eigen::Vector2d at(40.3, 37.6), place(46.2, 39.7);
-  const cv::Mat1b from = textured(at, Eigen::Matrix2d::Identity(), 1, 0, 0, 1);
+  const cv::Mat1b from = textured(at, kNone, 1, 0, 0, 1);
   for (const auto& [degrees, scale] : {std::pair{90.0, 1.0}, {-90.0, 1.0}, {180.0, 1.0}, {25.0, 1.2}, {-10.0, 0.8}}) {
     const Eigen::Matrix2d to_from_from = similarity(degrees, scale);
     const cv::Mat1b to = textured(place, to_from_from.inverse(), 1, 0, 0, 1);
@@ -61,9 +64,9 @@ TEST(TrackPatch, IgnoresBrightnessAndIsUnbiasedUnderNoise) {
   Eigen::Vector2d mean = Eigen::Vector2d::Zero();
   constexpr int kTrials = 100;
   for (int i = 0; i < kTrials; ++i) {
-    const cv::Mat1b from = textured(at, Eigen::Matrix2d::Identity(), 0.6, 20, 3, 2 * i + 1);
-    const cv::Mat1b to = textured(place, Eigen::Matrix2d::Identity(), 0.6, 60, 3, 2 * i + 2);
-    const PatchTrack track = track_patch(from, at, to, place, Eigen::Matrix2d(Eigen::Matrix2d::Identity()));
+    const cv::Mat1b from = textured(at, kNone, 0.6, 20, 3, 2 * i + 1);
+    const cv::Mat1b to = textured(place, kNone, 0.6, 60, 3, 2 * i + 2);
+    const PatchTrack track = track_patch(from, at, to, place, kNone);
     ASSERT_TRUE(track.found);
     EXPECT_LT((track.position - place).norm(), 0.3);
     mean += (track.position - place) / kTrials;
@@ -71,8 +74,68 @@ TEST(TrackPatch, IgnoresBrightnessAndIsUnbiasedUnderNoise) {
   EXPECT_LT(mean.norm(), 0.03);  // each is off by about 0.08 px
 }
 
+TEST(TrackPatch, IgnoresContrast) {
+  const Eigen::Vector2d at(40.3, 37.6), place(44.1, 38.9);
+  const cv::Mat1b from = textured(at, kNone, 1, 0, 0, 1);
+  const cv::Mat1b to = textured(place, kNone, 0.7, 40, 0, 1);
+  for (const bool along_row : {false, true}) {
+    const Eigen::Vector2d start = place + Eigen::Vector2d(0.9, along_row ? 0 : -0.5);
+    const PatchTrack track = along_row ? track_along_row(from, at, to, start, Eigen::Matrix3d::Identity())
+                                       : track_patch(from, at, to, start, kNone);
+    ASSERT_TRUE(track.found);
+    EXPECT_LT((track.position - place).norm(), 0.03);
+    EXPECT_GT(track.similarity, 0.99);
+  }
+}
+
+TEST(TrackPatch, FollowsAHomography) {
+  const Eigen::Vector2d at(40.3, 37.6), place(46.2, 39.7);
+  const cv::Mat1b from = textured(at, kNone, 1, 0, 0, 1);
+  Eigen::Matrix3d to_from_from;
+  to_from_from << 1.1, 0.1, 0, -0.05, 0.95, 0, 0.01, -0.004, 1;
+  const Eigen::Matrix3d from_from_to = to_from_from.inverse();
+  cv::Mat1b to(80, 90);
+  for (int y = 0; y < to.rows; ++y) {
+    for (int x = 0; x < to.cols; ++x) {
+      const Eigen::Vector2d p = (from_from_to * (Eigen::Vector2d(x, y) - place).homogeneous()).hnormalized();
+      to(y, x) = cv::saturate_cast<uint8_t>(255 * testing::texture(p.x(), p.y(), 3, 32));
+    }
+  }
+  const PatchTrack track = track_patch(from, at, to, place + Eigen::Vector2d(0.5, -0.6), to_from_from);
+  ASSERT_TRUE(track.found);
+  EXPECT_LT((track.position - place).norm(), 0.04);
+}
+
+// A texture before another that moves differently: only what belongs to the surface is compared.
+TEST(TrackPatch, ComparesTheSurfaceOnly) {
+  const Eigen::Vector2d at(40, 37), place(43.4, 37);
+  const auto image = [&](const Eigen::Vector2d& front, double behind) {
+    cv::Mat1b result(80, 90);
+    for (int y = 0; y < result.rows; ++y) {
+      for (int x = 0; x < result.cols; ++x) {
+        const double u = x - front.x(), v = y - front.y();
+        const double grey = u < 3 ? testing::texture(u, v, 3, 32) : testing::texture(x - behind, v, 7, 32);
+        result(y, x) = static_cast<uint8_t>(255 * grey);
+      }
+    }
+    return result;
+  };
+  const cv::Mat1b from = image(at, 0), to = image(place, 0.8);
+  cv::Mat1f disparity(80, 90, 10.0f);
+  for (int y = 0; y < 80; ++y)
+    for (int x = 43; x < 90; ++x) disparity(y, x) = 6;
+  const Eigen::Matrix3d none = Eigen::Matrix3d::Identity();
+  const PatchTrack all = track_patch(from, at, to, place, none);
+  const PatchTrack surface = track_patch(from, at, to, place, none, {&disparity, 10, Eigen::Vector2d::Zero()});
+  ASSERT_TRUE(surface.found);
+  EXPECT_LT((surface.position - place).norm(), 0.04);
+  EXPECT_TRUE(!all.found || (all.position - place).norm() > 0.15);
+  disparity.setTo(6);
+  EXPECT_FALSE(track_patch(from, at, to, place, none, {&disparity, 10, Eigen::Vector2d::Zero()}).found);
+}
+
 TEST(TrackPatch, GivesUpWhereNothingCanBeFollowed) {
-  const Eigen::Matrix2d none = Eigen::Matrix2d::Identity();
+  const Eigen::Matrix2d& none = kNone;
   const Eigen::Vector2d at(40.3, 37.6);
   const cv::Mat1b image = textured(at, none, 1, 0, 0, 1);
   EXPECT_FALSE(track_patch(cv::Mat1b(80, 90, uint8_t{100}), at, image, at, none).found);  // flat

@@ -2,6 +2,7 @@
 // last few views, many more corners and SIFT, then (only if asked for) the last motion continued, then a new sub-map.
 #pragma once
 
+#include <algorithm>
 #include <deque>
 #include <optional>
 #include <vector>
@@ -30,20 +31,23 @@ class MotionChain {
     ViewFeatures features;
     Pose world_from_cam = Pose::Identity();
     int submap = 0;
-    bool guessed = false;  // by its estimate's status
+    bool guessed = false;      // by its estimate's status
+    int reference_frame = -1;  // of its estimate
+    Pose reference_from_cam = Pose::Identity();
   };
 
   MotionChain(const RectifiedCamera& camera, const ScsOptions& options) : camera_(camera), options_(options) {}
 
-  // Goes on after earlier views, in their order: with the last kept_views() of them (or all, if fewer) exactly as if it
-  // had never been interrupted. `submaps`: how many sub-maps there are so far.
+  // Goes on after earlier views, in their order: with the last kept_views() of them (or all, if fewer) and their
+  // reference views exactly as if it had never been interrupted. `submaps`: how many sub-maps there are so far.
   void restore(std::vector<Restored> last_views, int submaps);
 
-  // How many views the chain remembers.
-  int kept_views() const { return options_.retry_views + 1; }
+  // How many views the chain remembers, beside those that they rest at.
+  int kept_views() const { return std::max(options_.retry_views + 1, options_.window); }
 
-  // The pose of the next view. Its motion is estimated against the previous view and, if that fails, against up to
-  // retry_views earlier ones, most recent first. They may belong to an earlier sub-map: a few spoilt views (blur, a
+  // The pose of the next view. Its motion is estimated against the previous view (the one that this rests at, if it
+  // rests) and, if that fails, against up to retry_views earlier ones, most recent first; then once more against the
+  // last options.window views that do not rest. They may belong to an earlier sub-map: a few spoilt views (blur, a
   // hand before the lens) become a sub-map of their own and the path goes on behind them.
   ChainStep push(ViewFeatures features, int frame_idx);
 
@@ -52,16 +56,22 @@ class MotionChain {
 
  private:
   struct View : Restored {
-    std::optional<RescueFeatures> rescue;  // made when first needed
+    std::optional<RescueFeatures> rescue = std::nullopt;  // made when first needed
+    int rests_at = -1;                                    // frame_idx of the reference view; -1: it moved
   };
 
   bool find_motion(const ViewFeatures& features, ChainStep& step);
   bool rescue(const ViewFeatures& features, ChainStep& step);
   bool guess(int frame_idx, ChainStep& step) const;
+  void measure_in_window(const ViewFeatures& features, ChainStep& step) const;
+  const View* find(int frame_idx) const;
+  int resting_place(const Restored& view) const;
+  void settle(View& view);
+  void forget();
 
   RectifiedCamera camera_;
   ScsOptions options_;
-  std::deque<View> views_;  // the last kept_views(), one more after a push
+  std::deque<View> views_;  // the last kept_views(), one more after a push, and what these rest at
   int submaps_ = 0;
 };
 

@@ -41,9 +41,10 @@ std::vector<Correspondence> refine_matches(const std::vector<std::pair<int, int>
 // Looks for every corner of the previous view where a motion predicts it in the current one, its surroundings turned
 // and scaled accordingly; whether there is a corner too does not matter. Dropped are those that are not found within
 // options.max_refinement of the predicted position and disparity, or that look different (options.min_similarity).
+// most_corners: only the first of them (features are ordered such that they are spread over the image); 0 = all.
 std::vector<Correspondence> predicted_matches(const ViewFeatures& prev, const ViewFeatures& cur,
                                               const Pose& prev_from_cur, const RectifiedCamera& camera,
-                                              const ScsOptions& options);
+                                              const ScsOptions& options, int most_corners = 0);
 
 // The patch of the image turned by a quarter turn clockwise.
 RankPatch turned(const RankPatch& patch);

@@ -25,6 +25,7 @@ struct Corner {
   Eigen::Vector3d point_in_cam = Eigen::Vector3d::Zero();  // [m]
   float strength = 0;                                      // Harris response
   Eigen::Vector2d slope = Eigen::Vector2d::Zero();         // of the disparity around the corner [px/px]
+  bool alone = false;                                      // what lies around belongs to that plane
   double disparity_error = 0;                              // [px] standard deviation; 0 = not known
 };
 

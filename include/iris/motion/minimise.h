@@ -18,6 +18,8 @@ struct PointPair {
   // For the image based model: what the differences of the image coordinates (x_left, sqrt(2) y, x_right) [px] are
   // multiplied by to have variance pixel_error^2 each, in either view.
   Eigen::Matrix3d whitening = Eigen::Matrix3d::Identity();
+  // For the image based model: `prev` may have been seen by another camera than the previous one, from there.
+  Pose prev_from_seeing = Pose::Identity();
 };
 
 // A sum over all pairs of rho(e^2), e^2 the model's squared error in units of pixel_error^2, and its derivatives by the

@@ -41,4 +41,16 @@ TracedMotion with_predicted(const TracedMotion& motion, const ViewFeatures& prev
 TracedMotion confirmed(const TracedMotion& motion, const ViewFeatures& prev, const ViewFeatures& cur,
                        const RectifiedCamera& camera, const ScsOptions& options);
 
+// An earlier view whose pose relative to the previous one is known.
+struct WindowView {
+  const ViewFeatures* features;
+  Pose prev_from_view;
+};
+
+// A successful motion measured once more, against the previous view and the others at once: the current pose and the
+// positions of all points are those of the least image based error over all views, the other poses being given.
+// Corners of the others are looked for where the motion predicts them. Other error models leave the motion as it is.
+TracedMotion with_window(const TracedMotion& motion, const std::vector<WindowView>& others, const ViewFeatures& cur,
+                         const RectifiedCamera& camera, const ScsOptions& options);
+
 }  // namespace iris::motion

@@ -6,7 +6,8 @@
 
 namespace iris::motion {
 
-constexpr int kTrackWindow = 15;  // [px] side of the square that is compared
+constexpr int kTrackWindow = 15;      // [px] side of the square that is compared
+constexpr float kSameSurface = 0.8f;  // [px] disparities that differ by more belong to different surfaces
 
 // The plane in space that the surroundings of a point belong to, by its disparities. What differs from it, because it
 // lies before or behind, is not compared.

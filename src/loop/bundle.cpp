@@ -773,14 +773,17 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
                                   &result.calibration.roll};
   const double least[] = {options.min_offset, options.min_focal, kLeastRoll};
   const double most[] = {options.max_offset, options.max_focal, 0};
+  bool correctable = options.calibrate;  // one that cannot be corrected would be taken for the others
+  for (int k = 0; k < kCalibration; ++k) {
+    const double value = free_state.calibration(k), sigma = calibration_sigma(k);
+    const bool off = std::abs(value) > 3 * sigma && std::abs(value) > least[k];
+    *estimates[k] = {.value = value, .sigma = sigma, .off = off};
+    correctable = correctable && (!off || std::abs(value) <= most[k]);
+  }
   Eigen::Array3d free = none;
   for (int k = 0; k < kCalibration; ++k) {
-    const double value = free_state.calibration(k);
-    const bool off = std::abs(value) > 3 * calibration_sigma(k) && std::abs(value) > least[k];
-    const bool applied = options.calibrate && off && std::abs(value) <= most[k];
-    *estimates[k] = {.value = value, .sigma = calibration_sigma(k), .off = off, .applied = applied};
-    free(k) = applied ? 1 : 0;
-    if (applied) state.calibration(k) = value;
+    estimates[k]->applied = correctable && estimates[k]->off;
+    free(k) = estimates[k]->applied ? 1 : 0;
   }
   if (free.any()) {
     state = free_state;

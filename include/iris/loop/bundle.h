@@ -37,7 +37,8 @@ struct Estimated {
   bool applied = false;  // corrected
 };
 
-// What the recording says about its calibration.
+// What the recording says about its calibration. Nothing is corrected if one of the errors cannot be: it would be taken
+// for the others.
 struct CalibrationCorrection {
   Estimated disparity_offset;  // [px] to be added to measured disparities (RectifiedCamera::disparity_offset)
   Estimated focal;             // the focal length is larger by this part

@@ -90,14 +90,11 @@ void stand_upright(workspace::RefinedPath& path, const StoredViews& views, const
 }
 
 // Bundle adjustment of the refined path.
-void adjust(workspace::RefinedPath& path, const StoredViews& views, const Options& options) {
-  std::vector<PoseEdge> loops;
-  for (const workspace::LoopRecord& record : path.loops) {
-    if (record.edge.verdict == loop::LoopVerdict::accepted) loops.push_back(edge_of(record.edge));
-  }
+void adjust(workspace::RefinedPath& path, const loop::RefinedGraph& refined, const StoredViews& views,
+            const Options& options) {
   const loop::BundleResult result = bundle(
-      path.nodes, views.frames(), [&](int frame_idx) { return views.load(frame_idx); }, views.camera(), loops,
-      options.bundle, options.motion);
+      refined, views.frames(), [&](int frame_idx) { return views.load(frame_idx); }, views.camera(), options.bundle,
+      options.pose_graph, options.motion);
   if (!result.ok) {
     spdlog::info("bundle adjustment: left out, {}", result.problem);
     return;
@@ -126,7 +123,7 @@ std::vector<std::string> run_loop(const Options& options, workspace::Workspace& 
     record_of_edge.push_back(i);
   }
 
-  loop::RefinedGraph refined = loop::refine(graph, options.pose_graph);
+  const loop::RefinedGraph refined = loop::refine(graph, options.pose_graph);
   int accepted = 0;
   for (size_t i = 0; i < record_of_edge.size(); ++i) {
     workspace::LoopRecord& record = path.loops[record_of_edge[i]];
@@ -141,10 +138,10 @@ std::vector<std::string> run_loop(const Options& options, workspace::Workspace& 
     spdlog::info("loops: {} of {} pairs of views that may show the same place are accepted", accepted,
                  path.loops.size());
   }
-  path.nodes = std::move(refined.graph.nodes);
+  path.nodes = refined.graph.nodes;
   for (size_t i = 0; i < path.nodes.size(); ++i) path.nodes[i].covariance = refined.covariance[i];
   path.camera = views.camera();
-  if (options.loop.enabled && options.loop.bundle) adjust(path, views, options);
+  if (options.loop.enabled && options.loop.bundle) adjust(path, refined, views, options);
   stand_upright(path, views, options.alignment);
   workspace.set_refined(path);
   return {};

@@ -442,7 +442,7 @@ void store_right(const T* best, const T* best_x, int width, int min_disparity, u
   }
 }
 
-// Where the sums of one column are, at all candidates.
+// Where the sums of one column are, at all candidates; those of another one of its row are `at` values further on.
 template <class T>
 struct Column {
   const uint8_t* right;  // at the first candidate
@@ -455,23 +455,23 @@ struct Column {
 };
 
 // The window moves on: the sums of a column enter, others leave. Returns what was stored as its sums.
-HWY_INLINE Vec16 move_window(const Column<uint16_t>& c, Vec16 enters, int d) {
+HWY_INLINE Vec16 move_window(const Column<uint16_t>& c, Vec16 enters, ptrdiff_t at, int d) {
   const Tag16 d16;
-  const auto whole = hn::Add(hn::Load(d16, c.running + d), hn::Sub(enters, hn::Load(d16, c.leaves + d)));
+  const auto whole = hn::Add(hn::Load(d16, c.running + d), hn::Sub(enters, hn::Load(d16, c.leaves + at + d)));
   hn::Store(whole, d16, c.running + d);
   const auto window = hn::ShiftRightSame(whole, c.shift);
-  hn::Store(window, d16, c.window + d);
+  hn::Store(window, d16, c.window + at + d);
   return window;
 }
 
 // As many sums as one vector of bytes holds, from those of the row above: contributions `in` enter, `out` leave.
 template <bool kWindows, class Next>
-HWY_INLINE void move_sums(const Column<uint16_t>& c, Vec8 in, Vec8 out, int begin, const Next& next) {
+HWY_INLINE void move_sums(const Column<uint16_t>& c, Vec8 in, Vec8 out, ptrdiff_t at, int begin, const Next& next) {
   const Tag16 d16;
   const auto half = [&](Vec16 in16, Vec16 out16, int d) HWY_ATTR {
-    const auto sum = hn::Sub(hn::Add(hn::Load(d16, c.sums + d), in16), out16);
-    hn::Store(sum, d16, c.sums + d);
-    if constexpr (kWindows) next(move_window(c, sum, d), d);
+    const auto sum = hn::Sub(hn::Add(hn::Load(d16, c.sums + at + d), in16), out16);
+    hn::Store(sum, d16, c.sums + at + d);
+    if constexpr (kWindows) next(move_window(c, sum, at, d), d);
   };
 #if HWY_TARGET == HWY_SCALAR
   half(hn::PromoteTo(d16, in), hn::PromoteTo(d16, out), begin);
@@ -485,11 +485,11 @@ HWY_INLINE void move_sums(const Column<uint16_t>& c, Vec8 in, Vec8 out, int begi
 
 #if HWY_TARGET != HWY_SCALAR  // whose vectors of 16 bits cannot be taken for vectors of bytes
 
-HWY_INLINE Vec8 move_window(const Column<uint8_t>& c, Vec8 enters, int d) {
+HWY_INLINE Vec8 move_window(const Column<uint8_t>& c, Vec8 enters, ptrdiff_t at, int d) {
   const Tag16 d16;
   const Tag8 d8;
   const auto low_byte = hn::Set(d16, uint16_t{255});
-  const auto in = hn::BitCast(d16, enters), out = hn::BitCast(d16, hn::Load(d8, c.leaves + d));
+  const auto in = hn::BitCast(d16, enters), out = hn::BitCast(d16, hn::Load(d8, c.leaves + at + d));
   uint16_t* const running = c.running + d;
   uint16_t* const running_odd = running + hn::Lanes(d16);
   const auto even = hn::Add(hn::Load(d16, running), hn::Sub(hn::And(in, low_byte), hn::And(out, low_byte)));
@@ -498,16 +498,16 @@ HWY_INLINE Vec8 move_window(const Column<uint8_t>& c, Vec8 enters, int d) {
   hn::Store(odd, d16, running_odd);
   const auto high = hn::AndNot(low_byte, hn::ShiftLeftSame(odd, 8 - c.shift));
   const auto window = hn::BitCast(d8, hn::Or(hn::ShiftRightSame(even, c.shift), high));
-  hn::Store(window, d8, c.window + d);
+  hn::Store(window, d8, c.window + at + d);
   return window;
 }
 
 template <bool kWindows, class Next>
-HWY_INLINE void move_sums(const Column<uint8_t>& c, Vec8 in, Vec8 out, int d, const Next& next) {
+HWY_INLINE void move_sums(const Column<uint8_t>& c, Vec8 in, Vec8 out, ptrdiff_t at, int d, const Next& next) {
   const Tag8 d8;
-  const auto sum = hn::Add(hn::Load(d8, c.sums + d), hn::Sub(in, out));  // modulo 256
-  hn::Store(sum, d8, c.sums + d);
-  if constexpr (kWindows) next(move_window(c, sum, d), d);
+  const auto sum = hn::Add(hn::Load(d8, c.sums + at + d), hn::Sub(in, out));  // modulo 256
+  hn::Store(sum, d8, c.sums + at + d);
+  if constexpr (kWindows) next(move_window(c, sum, at, d), d);
 }
 
 #endif
@@ -515,13 +515,14 @@ HWY_INLINE void move_sums(const Column<uint8_t>& c, Vec8 in, Vec8 out, int d, co
 // The sums of a column become those of the next row; contributions are what `masked` leaves of them. If kWindows, the
 // window moves on to this column; its sums go to next(sums, candidate) as well. Else nothing leaves the column.
 template <bool kWindows, class Cost, class T, class Mask, class Next>
-HWY_INLINE void move_column(const Cost& cost, const Column<T>& c, int end, const Mask& masked, const Next& next) {
+HWY_INLINE void move_column(const Cost& cost, const Column<T>& c, const uint8_t* right, ptrdiff_t at, int end,
+                            const Mask& masked, const Next& next) {
   const Tag8 d8;
   for (int d = 0; d < end; d += static_cast<int>(hn::Lanes(d8))) {
-    const auto in = masked(cost.at(c.right + d), d);
-    const auto out = hn::Load(d8, c.pixel + d);
-    hn::Store(in, d8, c.pixel + d);
-    move_sums<kWindows>(c, in, kWindows ? out : hn::Zero(d8), d, next);
+    const auto in = masked(cost.at(right + d), d);
+    const auto out = hn::Load(d8, c.pixel + at + d);
+    hn::Store(in, d8, c.pixel + at + d);
+    move_sums<kWindows>(c, in, kWindows ? out : hn::Zero(d8), at, d, next);
   }
 }
 
@@ -573,6 +574,12 @@ void correlate_rows(const CorrelationBlock& block) {
     return std::clamp(x - p.min_disparity - (block.width - 1), 0, p.disparities);
   };
   const auto last_candidate = [&](int x) { return std::clamp(x - p.min_disparity, -1, p.disparities - 1); };
+  int* const first_of = scratch.take<int>(block.width);
+  int* const last_of = scratch.take<int>(block.width);
+  for (int x = 0; x < block.width; ++x) {
+    first_of[x] = first_candidate(x);
+    last_of[x] = last_candidate(x);
+  }
   // All candidates of the columns up to x are before this one.
   const int n_ends = block.width + 2 * rx + block.tile;
   int* const candidates_end = scratch.take<int>(n_ends);
@@ -622,12 +629,13 @@ void correlate_rows(const CorrelationBlock& block) {
     const auto ignore = [](auto, int) {};
     const auto move = [&]<bool kWindows>(const typename Cost::Row& left, const Column<T>& first, int x,
                                          T* window) HWY_ATTR {
-      const uint8_t* const from_first = mask + stride - first_candidate(x);
-      const uint8_t* const to_last = mask + 2 * stride - (last_candidate(x) + 1);
+      const uint8_t* const from_first = mask + stride - first_of[x];
+      const uint8_t* const to_last = mask + 2 * stride - (last_of[x] + 1);
       const auto existing = [&](Vec8 in, int d) HWY_ATTR {
         return hn::And(in, hn::And(hn::LoadU(d8, from_first + d), hn::LoadU(d8, to_last + d)));
       };
-      move_column<kWindows>(Cost(left, x), column_at(first, x, window), candidates_end[x], existing, ignore);
+      const Column<T> column = column_at(first, x, window);
+      move_column<kWindows>(Cost(left, x), column, column.right, 0, candidates_end[x], existing, ignore);
     };
 
     // Where all candidates of a window's last column exist, and the window is kept and not cut.
@@ -640,8 +648,8 @@ void correlate_rows(const CorrelationBlock& block) {
       const int x = x_end - rx;
       T* const kept = windows + window_ring * slot[y + ry] + stride * (x - x_windows);
       if (x_end >= whole_begin && x_end < whole_end) {
-        move_column<true>(Cost(left, x_end), column_at(first_of_row, x_end, kept), static_cast<int>(stride), all,
-                          ignore);
+        const Column<T> column = column_at(first_of_row, x_end, kept);
+        move_column<true>(Cost(left, x_end), column, column.right, 0, static_cast<int>(stride), all, ignore);
         return;
       }
       const bool wanted = x >= x_windows && x >= 0 && x < block.width;
@@ -649,12 +657,12 @@ void correlate_rows(const CorrelationBlock& block) {
       const int end = candidates_end[x_end];
       if (x_end >= block.width) {
         const Column<T> column = column_at(first_of_row, x_end, window);
-        for (int d = 0; d < end; d += lanes) move_window(column, hn::Zero(tag), d);
+        for (int d = 0; d < end; d += lanes) move_window(column, hn::Zero(tag), 0, d);
       } else {
         move.template operator()<true>(left, first_of_row, x_end, window);
       }
       if (!wanted) return;
-      const int first = first_candidate(x), last = last_candidate(x);
+      const int first = first_of[x], last = last_of[x];
       for (int d = 0; d < end; d += lanes) {
         const auto before = hn::LoadU(tag, no_window + stride - first + d);
         const auto behind = hn::LoadU(tag, no_window + 2 * stride - (last + 1) + d);
@@ -669,8 +677,8 @@ void correlate_rows(const CorrelationBlock& block) {
       };
       // Not cut: those that have a partner for both ends of the window.
       const bool inside = x >= rx && x + rx < block.width;
-      const int cut_end = inside ? std::clamp(first_candidate(x + rx), first, last + 1) : last + 1;
-      const int cut_begin = inside ? std::clamp(last_candidate(x - rx) + 1, cut_end, last + 1) : last + 1;
+      const int cut_end = inside ? std::clamp(first_of[x + rx], first, last + 1) : last + 1;
+      const int cut_begin = inside ? std::clamp(last_of[x - rx] + 1, cut_end, last + 1) : last + 1;
       for (int d = first; d < cut_end; ++d) scale(d);
       for (int d = cut_begin; d <= last; ++d) scale(d);
     };
@@ -712,6 +720,7 @@ void correlate_rows(const CorrelationBlock& block) {
       Correlation& rows = *block.out;
       const int row = y - block.y0;
       const OutputRows out = {rows.winner[row], rows.cost[row], rows.second[row], rows.before[row], rows.after[row]};
+      const Column<T> fused = column_at(first, x0 + 2 * rx, lower_right);
       for (int group = x0; group < x1; group += kGroup) {
         const int group_end = std::min(group + kGroup, x1);
         for (int x = group; x < group_end; ++x) {
@@ -720,11 +729,11 @@ void correlate_rows(const CorrelationBlock& block) {
           T* const cost = costs + cost_stride * (x - group);
           Combination<T> combination;
           if (has_windows && x_end >= whole_begin && x_end < whole_end) {
-            const Column<T> column = column_at(first, x_end, lower_right + at);
             const auto combine = [&](auto window, int d) HWY_ATTR {
               combination.add(around, window, at + d, hn::LoadU(tag, no_candidate + d), cost + d);
             };
-            move_column<true>(Cost(left, x_end), column, static_cast<int>(stride), all, combine);
+            move_column<true>(Cost(left, x_end), fused, fused.right - (x - x0), at, static_cast<int>(stride), all,
+                              combine);
           } else {
             if (has_windows) window_column(left, first, y_windows, x_end);
             const int end = candidates_end[x];

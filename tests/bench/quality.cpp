@@ -166,7 +166,7 @@ void print_methods() {
     measured += fmt::format(" {:.2f} of {:.1f} |\n", wrong / n, density / n);
   }
   fmt::print("Dense, percent of pixels off by more than 1 px: all / those that both cameras see\n\n{}\n", dense);
-  fmt::print("Before interpolation, percent of pixels off by more than 1 px, of those with a disparity\n\n{}\n",
+  fmt::print("Before interpolation, percent of all pixels: off by more than 1 px, of those with a disparity\n\n{}\n",
              measured);
 }
 

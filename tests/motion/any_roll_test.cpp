@@ -78,6 +78,28 @@ TEST(RolledMatches, BearAChangeOfScale) {
   }
 }
 
+// No motion leads from a world into its mirror image, although both look alike: whatever is found is false.
+TEST(EstimateMotion, FindsNothingBetweenAWorldAndItsMirrorImage) {
+  std::vector<ViewFeatures> views, mirrored;
+  for (int i = 0; i < 5; ++i) {
+    const Pose world_from_cam = pose({-0.3 + 0.15 * i, 0.02 * i, -1.5 + 0.3 * i}, 10.0 * i - 20, -3, 36.0 * i);
+    testing::SyntheticView view = testing::render_room({}, kCamera, world_from_cam);
+    views.push_back(extract_features(view.image, view.disparity, kCamera, {}));
+    cv::flip(view.image, view.image, 1);
+    cv::flip(view.disparity.disparity, view.disparity.disparity, 1);
+    cv::flip(view.disparity.origin, view.disparity.origin, 1);
+    RectifiedCamera camera = kCamera;
+    camera.cx = kCamera.width - 1 - kCamera.cx;
+    mirrored.push_back(extract_features(view.image, view.disparity, camera, {}));
+  }
+  for (const ViewFeatures& view : views) {
+    for (const ViewFeatures& mirror : mirrored) {
+      ASSERT_GE(std::min(view.corners.size(), mirror.corners.size()), 100u);
+      EXPECT_NE(estimate_motion(view, mirror, kCamera, {}).status, MotionStatus::ok);
+    }
+  }
+}
+
 class AnyRoll : public ::testing::TestWithParam<int> {};
 
 TEST_P(AnyRoll, IsNoObstacle) {

@@ -57,9 +57,9 @@ bool sample_template(const cv::Mat1b& image, const Eigen::Vector2d& at, const Ei
     }
   }
   const Eigen::Matrix3f f = h.cast<float>();
-  // Positions relative to a pixel far to the upper left are positive, and short numbers.
+  // Pixels are counted from one far to the upper left: then truncation is rounding down.
   const int left = static_cast<int>(at.x()) - kFar, top = static_cast<int>(at.y()) - kFar;
-  const Eigen::Vector2f rest = (at - Eigen::Vector2d(left, top)).cast<float>();
+  const Eigen::Vector2f rest = (at - Eigen::Vector2d(left + kFar, top + kFar)).cast<float>();
   const auto slope_x = static_cast<float>(surface.slope.x()), slope_y = static_cast<float>(surface.slope.y());
   const auto plane = static_cast<float>(surface.at_point - surface.slope.dot(at - Eigen::Vector2d(left, top)));
   std::array<std::array<int16_t, kSide>, kSide> v, inside;
@@ -73,10 +73,10 @@ bool sample_template(const cv::Mat1b& image, const Eigen::Vector2d& at, const Ei
       const float scale = 1 / (f(2, 0) * a + f(2, 1) * b + 1);
       const float px = rest.x() + (f(0, 0) * a + f(0, 1) * b + f(0, 2)) * scale;
       const float py = rest.y() + (f(1, 0) * a + f(1, 1) * b + f(1, 2)) * scale;
-      x[i] = static_cast<int32_t>(px);
-      y[i] = static_cast<int32_t>(py);
-      fx[i] = px - static_cast<float>(x[i]);
-      fy[i] = py - static_cast<float>(y[i]);
+      x[i] = static_cast<int32_t>(px + kFar);
+      y[i] = static_cast<int32_t>(py + kFar);
+      fx[i] = px - static_cast<float>(x[i] - kFar);
+      fy[i] = py - static_cast<float>(y[i] - kFar);
     }
     for (int i = 0; i < kSide; ++i) {
       const uint8_t* above = image[top + y[i]] + left + x[i];

@@ -36,7 +36,7 @@ struct ScsOptions {
   double max_rotation_error = 1.0;      // [deg] an estimate whose rotation is less certain (one sigma) is degenerate
   double max_translation_error = 0.02;  // part of the median depth of the points by which the translation may be off
   // More than one earlier view (image model only).
-  int window = 4;            // earlier views that a motion is measured against; 1 = the previous one, as in the thesis
+  int window = 1;            // earlier views that a motion is measured against; 1 = the previous one, as in the thesis
   int window_corners = 100;  // most corners of each of the others
   double rest = 2.0;  // [px] a view whose corners moved by less (median) since its reference view rests: the next
                       // one is measured against that reference view too; 0 = none rests

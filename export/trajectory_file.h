@@ -28,8 +28,8 @@ void write_tum(const std::filesystem::path& path, const PoseGraph& graph);
 void write_kitti(const std::filesystem::path& path, const PoseGraph& graph, int frames_in_session);
 
 // g2o: VERTEX_SE3:QUAT (world from left camera, id = frame), FIX for the first frame of each sub-map, EDGE_SE3:QUAT
-// with the measurement i_from_j and the upper triangle of its information, see g2o_information. Lines that begin with #,
-// which readers skip, tell of each of `loops` whether it is among the edges, or why not.
+// with the measurement i_from_j and the upper triangle of its information, see g2o_information. Lines that begin with
+// #, which readers skip, tell of each of `loops` whether it is among the edges, or why not.
 void write_g2o(const std::filesystem::path& path, const PoseGraph& graph,
                const std::vector<workspace::LoopRecord>& loops);
 

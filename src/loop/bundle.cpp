@@ -15,6 +15,7 @@
 #include "iris/core/parallel.h"
 #include "iris/loop/block_cholesky.h"
 #include "iris/loop/pose_graph.h"
+#include "iris/motion/corner_disparity.h"
 #include "iris/motion/correspondences.h"
 #include "iris/motion/minimise.h"
 #include "iris/reconstruct/error_models.h"
@@ -171,9 +172,16 @@ std::vector<Landmark> find_landmarks(const Views& views, const std::function<Ste
       for (int s = begin; s < end; ++s) {
         Source& source = sources[s];
         motion::ViewFeatures from;
-        from.image = source.view >= first_recent ? recent[source.view - first_recent].image
-                                                 : grey_of(view(views.frames[source.view]).image);
+        if (source.view >= first_recent) {
+          from.image = recent[source.view - first_recent].image;
+          from.disparity = recent[source.view - first_recent].disparity;
+        } else {
+          const StereoView stored = view(views.frames[source.view]);
+          from.image = grey_of(stored.image);
+          from.disparity = stored.disparity;
+        }
         for (const Seen& one : source.wanted) from.corners.push_back(one.corner);
+        motion::measure_disparities(from, camera);  // the planes around them; there is no right image
         source.found = motion::predicted_matches(from, current, source.source_from_current, camera, scs);
       }
     });

@@ -18,7 +18,7 @@ namespace {
 constexpr int kDescriptorSize = 128;  // of SIFT, whole numbers from 0 to 255
 
 // Rows of two sets of descriptors that are each other's nearest, ordered by the first; the lowest index among equals.
-// In whole numbers, each distance once: six times as fast as OpenCV's matcher, with the same result.
+// In whole numbers, each distance once: the same result as OpenCV's matcher.
 std::vector<std::pair<int, int>> mutually_nearest(const cv::Mat1f& a, const cv::Mat1f& b) {
   IRIS_CHECK(a.cols == kDescriptorSize && b.cols == kDescriptorSize);
   cv::Mat1s whole_a, whole_b;

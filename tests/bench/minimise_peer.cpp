@@ -86,7 +86,8 @@ Pose minimise_with_ceres(const RectifiedCamera& camera, const std::vector<motion
     options.linear_solver_ordering.reset(new ceres::ParameterBlockOrdering);
   }
   auto* loss = new ceres::HuberLoss(huber);
-  for (const auto& [p, q, whitening] : pairs) {
+  for (const motion::PointPair& pair : pairs) {
+    const Eigen::Vector3d &p = pair.prev, &q = pair.cur;
     if (model == motion::ErrorModel::ellipsoid) {
       using Cost = ceres::AutoDiffCostFunction<Ellipsoid, 3, 6>;
       problem.AddResidualBlock(new Cost(new Ellipsoid{p, q, reconstruct::point_covariance(camera, p, pixel_error),

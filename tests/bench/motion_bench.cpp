@@ -112,9 +112,9 @@ std::vector<PointPair> noisy_pairs(const RectifiedCamera& camera, double noise) 
 
 Pose first_guess(const std::vector<PointPair>& pairs) {
   std::vector<Eigen::Vector3d> prev, cur;
-  for (const auto& [p, q, whitening] : pairs) {
-    prev.push_back(p);
-    cur.push_back(q);
+  for (const PointPair& pair : pairs) {
+    prev.push_back(pair.prev);
+    cur.push_back(pair.cur);
   }
   return *spherical_motion(prev, cur, std::vector<double>(pairs.size(), 1.0));
 }

@@ -299,7 +299,8 @@ class OutputFolder {
     std::map<int, const PoseNode*> first;
     for (const PoseNode& node : graph.nodes) {
       const PoseNode& from = *first.try_emplace(node.submap, &node).first->second;
-      if (&from == &node) continue;
+      // The first camera, and what moves rigidly with it.
+      if (&from == &node || !(node.covariance.diagonal().minCoeff() > 0)) continue;
       Matrix6d turn = Matrix6d::Zero();  // of the perturbation, from the world into the first camera
       turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = from.world_from_cam.linear().transpose();
       const PoseEdge edge{.i = from.frame_idx,

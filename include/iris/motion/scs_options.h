@@ -24,7 +24,7 @@ struct ScsOptions {
   double min_similarity = 0.8;  // correlation coefficient of a corner's surroundings that were found by prediction
   // Confirmation by the whole views, with `predict` only.
   double min_support = 0.15;        // part of the corners expected to be seen again that must be found
-  double max_contradiction = 0.15;  // points that the other view looks through, part of those it shows; times support
+  double max_contradiction = 0.35;  // points that the other view looks through, part of those it shows; times support
   // Consistency (5.3.3).
   double max_turn = 45.0;  // [deg] largest rotation between the views (theta of 5.3)
   double ambiguity = 0.7;  // a second set at least this part as large, with another motion, makes the result ambiguous

@@ -17,16 +17,7 @@ namespace {
 
 const RectifiedCamera kCamera{.f = 270, .cx = 200, .cy = 150, .baseline = 0.12, .width = 400, .height = 300};
 constexpr double kDegree = std::numbers::pi / 180;
-
-Pose pose(const Eigen::Vector3d& position, double yaw, double pitch, double roll) {
-  Pose world_from_cam = Pose::Identity();
-  world_from_cam.linear() = (Eigen::AngleAxisd(yaw * kDegree, Eigen::Vector3d::UnitY()) *
-                             Eigen::AngleAxisd(pitch * kDegree, Eigen::Vector3d::UnitX()) *
-                             Eigen::AngleAxisd(roll * kDegree, Eigen::Vector3d::UnitZ()))
-                                .toRotationMatrix();
-  world_from_cam.translation() = position;
-  return world_from_cam;
-}
+using iris::testing::pose;
 
 ViewFeatures features_at(const Pose& world_from_cam) {
   const testing::SyntheticView view = testing::render_room({}, kCamera, world_from_cam);

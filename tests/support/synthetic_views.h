@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <numbers>
 #include <opencv2/core.hpp>
 
 #include "iris/geometry/pose.h"
@@ -110,6 +111,18 @@ inline SyntheticView render_room(const Room& room, const RectifiedCamera& camera
     }
   }
   return view;
+}
+
+// World from camera: turned by yaw about y (down), then pitch about x (right), then roll about z (forward) [deg].
+inline Pose pose(const Eigen::Vector3d& position, double yaw, double pitch, double roll) {
+  constexpr double kDegree = std::numbers::pi / 180;
+  Pose world_from_cam = Pose::Identity();
+  world_from_cam.linear() = (Eigen::AngleAxisd(yaw * kDegree, Eigen::Vector3d::UnitY()) *
+                             Eigen::AngleAxisd(pitch * kDegree, Eigen::Vector3d::UnitX()) *
+                             Eigen::AngleAxisd(roll * kDegree, Eigen::Vector3d::UnitZ()))
+                                .toRotationMatrix();
+  world_from_cam.translation() = position;
+  return world_from_cam;
 }
 
 }  // namespace iris::testing

@@ -12,6 +12,7 @@
 
 #include "apps/iris/command.h"
 #include "iris/core/error.h"
+#include "iris/core/memory.h"
 
 namespace iris::app {
 namespace {
@@ -111,4 +112,7 @@ int run(int argc, char** argv) {
 }  // namespace
 }  // namespace iris::app
 
-int main(int argc, char** argv) { return iris::app::run(argc, argv); }
+int main(int argc, char** argv) {
+  iris::keep_freed_memory();
+  return iris::app::run(argc, argv);
+}

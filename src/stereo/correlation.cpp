@@ -783,6 +783,8 @@ HWY_EXPORT(correlate_block);
 
 namespace {
 
+constexpr int kRowsPerMirror = 64;
+
 // Copies of an image and, if wanted, of its census, each row mirrored, with `before` and `after` bytes of room.
 struct Mirrored {
   ptrdiff_t stride, plane;
@@ -794,14 +796,16 @@ struct Mirrored {
         plane(stride * image.grey.rows),
         bytes(static_cast<size_t>(plane) * (image.census[0].empty() ? 1 : 4)),
         origin(bytes.data() + before + image.grey.cols - 1) {
-    for (int y = 0; y < image.grey.rows; ++y) {
-      uint8_t* row = bytes.data() + before + y * stride;
-      std::reverse_copy(image.grey[y], image.grey[y] + image.grey.cols, row);
-      for (int i = 0; i < 3 && !image.census[0].empty(); ++i) {
-        const uint8_t* const bits = image.census[i][y];
-        std::reverse_copy(bits, bits + image.grey.cols, row + (i + 1) * plane);
+    parallel_chunks(0, image.grey.rows, kRowsPerMirror, [&](int y0, int y1) {
+      for (int y = y0; y < y1; ++y) {
+        uint8_t* row = bytes.data() + before + y * stride;
+        std::reverse_copy(image.grey[y], image.grey[y] + image.grey.cols, row);
+        for (int i = 0; i < 3 && !image.census[0].empty(); ++i) {
+          const uint8_t* const bits = image.census[i][y];
+          std::reverse_copy(bits, bits + image.grey.cols, row + (i + 1) * plane);
+        }
       }
-    }
+    });
   }
 };
 

@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "bench/bench.h"
+#include "iris/core/memory.h"
 #include "iris/core/parallel.h"
 
 namespace iris::bench {
@@ -188,6 +189,7 @@ void compare(const std::string& stage, const std::string& work, const std::strin
 }  // namespace iris::bench
 
 int main(int argc, char** argv) {
+  iris::keep_freed_memory();  // as the program does; the peers gain as well
   spdlog::set_level(spdlog::level::err);
   bool quick = false;
   std::vector<std::string> arguments = {argv[0], "--benchmark_enable_random_interleaving=true"};

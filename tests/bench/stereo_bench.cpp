@@ -127,18 +127,51 @@ Contender step(const std::string& who, const std::function<void()>& work) {
           }};
 }
 
+// With one of the targets of Highway; 0 = the best one.
+void with_target(int64_t target, const std::function<void()>& work) {
+  const auto choose = [](int64_t chosen) {
+    hwy::SetSupportedTargetsForTest(chosen);
+    hwy::GetChosenTarget().DeInit();
+  };
+  if (target != 0) choose(target);
+  work();
+  choose(0);
+}
+
+// What runs once with each target that this processor has.
+std::vector<Contender> with_all_targets(const std::function<Contender(const std::string& who, int64_t target)>& make) {
+  std::vector<Contender> targets = {make("IRIS", 0)};
+  const std::vector<int64_t> supported = hwy::SupportedAndGeneratedTargets();
+  for (size_t i = 1; i < supported.size(); ++i) {
+    targets.push_back(make(fmt::format("IRIS with {}", hwy::TargetName(supported[i])), supported[i]));
+  }
+  return targets;
+}
+
 Contender correlation_with(const std::string& who, int64_t target) {
   return {who, [=](State& state) {
             const Steps& made = steps();
-            if (target != 0) {
-              hwy::SetSupportedTargetsForTest(target);
-              hwy::GetChosenTarget().DeInit();
-            }
-            measure(state, 1, [&] { DoNotOptimize(made.correlate(hand_held_pair().disparities)); });
-            hwy::SetSupportedTargetsForTest(0);
-            hwy::GetChosenTarget().DeInit();
+            with_target(target, [&] {
+              measure(state, 1, [&] { DoNotOptimize(made.correlate(hand_held_pair().disparities)); });
+            });
             set_rate(state, "Mdisparities/s", evaluations(hand_held_pair()) * 1e-6);
           }};
+}
+
+// The chain up to sub-pixel disparities that passed the filters: LoG, correlation, left/right check, sub-pixel.
+void up_to_sub_pixel(MwmfOptions& options) {
+  options.borders = "off";
+  options.min_segment = 0;
+  options.interpolation = "off";
+  options.median = "off";
+}
+
+void register_core(const std::string& input, const PairSource& source) {
+  compare("stereo step", "LoG to sub-pixel", input,
+          with_all_targets([&](const std::string& who, int64_t target) -> Contender {
+            const Contender made = mwmf_contender(who, 1, source, up_to_sub_pixel);
+            return {who, [=](State& state) { with_target(target, [&] { made.run(state); }); }};
+          }));
 }
 
 void register_steps(const std::string& input) {
@@ -161,12 +194,7 @@ void register_steps(const std::string& input) {
             DoNotOptimize(census_transform(hand_held_pair().left));
             DoNotOptimize(census_transform(hand_held_pair().right));
           })});
-  std::vector<Contender> targets = {correlation_with("IRIS", 0)};
-  const std::vector<int64_t> supported = hwy::SupportedAndGeneratedTargets();
-  for (size_t i = 1; i < supported.size(); ++i) {
-    targets.push_back(correlation_with(fmt::format("IRIS with {}", hwy::TargetName(supported[i])), supported[i]));
-  }
-  compare("stereo step", "correlation", input, targets);
+  compare("stereo step", "correlation with census", input, with_all_targets(correlation_with));
   compare("stereo step", "filters, sub-pixel", input, {step("IRIS", [] { steps().refined(); })});
   compare("stereo step", "segment filter", input,
           {step("IRIS",
@@ -222,11 +250,15 @@ void register_stereo() {
   compare("stereo", "presets", input,
           {mwmf_contender("IRIS, quality", 1, source, preset("quality")),
            mwmf_contender("IRIS, thesis", 1, source, preset("thesis")), mwmf_contender("IRIS, default", 1, source)});
-  compare("stereo", "two threads", input,
-          {mwmf_contender("IRIS", 2, source), mwmf_contender("IRIS, one thread", 1, source),
-           opencv_contender("OpenCV StereoBM 11x11, two threads", 2, source, block_matcher),
-           opencv_contender("OpenCV StereoSGBM 3WAY, two threads", 2, source, kSgbm3)},
-          Uses::several);
+  for (size_t i = 0; i < 3; ++i) {
+    const auto& [of_threads, pair] = inputs[i];
+    compare("stereo", "two threads", of_threads,
+            {mwmf_contender("IRIS", 2, pair), mwmf_contender("IRIS, one thread", 1, pair),
+             opencv_contender("OpenCV StereoBM 11x11, two threads", 2, pair, block_matcher),
+             opencv_contender("OpenCV StereoSGBM 3WAY, two threads", 2, pair, kSgbm3)},
+            Uses::several);
+  }
+  for (size_t i = 1; i < 3; ++i) register_core(inputs[i].name, inputs[i].source);
   register_steps(input);
 }
 

@@ -149,8 +149,8 @@ cv::Mat1i flood_fill(const cv::Mat1f& disparity, float tolerance, std::vector<in
 
 TEST(Segments, EqualFloodFillOnRandomImages) {
   cv::RNG random(8);
-  for (int round = 0; round < 30; ++round) {
-    cv::Mat1f disparity(random.uniform(1, 40), random.uniform(1, 60));
+  for (int round = 0; round < 60; ++round) {
+    cv::Mat1f disparity(random.uniform(1, 140), random.uniform(1, 60));  // several chunks of rows
     for (float& d : disparity) d = static_cast<float>(std::max(0, random.uniform(-1, 5))) * 0.75f;
     std::vector<int> sizes;
     const cv::Mat1i expected = flood_fill(disparity, 1.0f, sizes);

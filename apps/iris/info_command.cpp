@@ -42,8 +42,9 @@ void print_motions(const workspace::Workspace& workspace) {
   int motions = 0, least_used = 0;
   double corners = 0, initial = 0, consistent = 0, used = 0, rms = 0;
   workspace.for_each_frame([&](const workspace::FrameRecord& record) {
-    if (!record.readable) {
-      fmt::print("{:5}  not readable: {}\n", record.frame_idx, record.message);
+    if (record.state != workspace::FrameState::posed) {
+      fmt::print("{:5}  {}: {}\n", record.frame_idx,
+                 record.state == workspace::FrameState::blind ? "shows too little" : "not readable", record.message);
       return;
     }
     const MotionEstimate& m = record.motion;
@@ -94,8 +95,8 @@ void print_output(const workspace::Workspace& workspace) {
   const pipeline::FramesSummary summary = pipeline::summarise_frames(workspace, poses);
   fmt::print("output       {}\n", workspace.folder().string());
   fmt::print("session      {}\n", workspace.session_folder());
-  fmt::print("frames       {}: {} with a pose, {} unreadable, {} sub-maps\n", summary.frames, summary.posed,
-             summary.unreadable, summary.submaps);
+  fmt::print("frames       {}: {} with a pose, {} unreadable, {} that show too little, {} sub-maps\n", summary.frames,
+             summary.posed, summary.unreadable, summary.blind, summary.submaps);
   fmt::print("path         {:.3f} m\n", summary.path_length);
   fmt::print("views        {}\n", summary.views);
   if (const std::string text = workspace.calibration(); !text.empty()) fmt::print("calibration  {}\n", text);

@@ -69,6 +69,10 @@ int run(Run& run) {
   spdlog::info("{} of {} frames have a pose, {:.2f} m of path, {} stored views", summary.posed, session->size(),
                summary.path_length, summary.views);
   if (summary.unreadable > 0) spdlog::warn("{} frames could not be read and were skipped", summary.unreadable);
+  if (summary.blind > 0) {
+    spdlog::warn("{} frames show too little to be placed (a covered lens, darkness, a bare wall) and have no pose",
+                 summary.blind);
+  }
   if (summary.submaps > 1) {
     spdlog::warn(
         "the path broke into {} sub-maps whose relation is unknown; all are kept, maps and tour show the largest "

@@ -156,6 +156,12 @@ bool MotionChain::guess(int frame_idx, ChainStep& step) const {
   return true;
 }
 
+// Whether no view could be related to this one, not even with all corners that may help after a failure.
+bool MotionChain::blind(const ViewFeatures& features) const {
+  if (static_cast<int>(features.corners.size()) >= options_.min_used) return false;
+  return !options_.rescue || rescue_features(features, camera_, options_).count() < options_.min_used;
+}
+
 ChainStep MotionChain::push(ViewFeatures features, int frame_idx) {
   forget();
   ChainStep step;
@@ -167,9 +173,11 @@ ChainStep MotionChain::push(ViewFeatures features, int frame_idx) {
     step.world_from_cam = reference->world_from_cam * step.estimate.prev_from_cur;  // (5.5)
     step.world_from_cam.linear() = nearest_rotation(step.world_from_cam.linear());
   } else {
+    if (views_.empty()) step.estimate.corners = static_cast<int>(features.corners.size());
+    step.blind = blind(features);
+    if (step.blind) return step;
     step.new_submap = true;
     step.submap = submaps_++;
-    if (views_.empty()) step.estimate.corners = static_cast<int>(features.corners.size());
   }
   views_.push_back({{.frame_idx = frame_idx,
                      .features = std::move(features),

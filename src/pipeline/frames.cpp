@@ -211,13 +211,22 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
     workspace::FrameRecord record{.frame_idx = item->frame_idx, .stamp_ns = item->stamp_ns};
     if (!item->unreadable.empty()) {
       spdlog::warn("frame {} is skipped: {}", item->frame_idx, item->unreadable);
-      record.readable = false;
+      record.state = workspace::FrameState::unreadable;
       record.message = item->unreadable;
       workspace.add_frame(record, nullptr);
       progress.update(item->frame_idx + 1);
       return;
     }
     const motion::ChainStep step = chain.push(std::move(item->features), item->frame_idx);
+    ++registered;
+    if (step.blind) {
+      record.state = workspace::FrameState::blind;
+      record.message = fmt::format("{} usable corners, {} are needed", step.estimate.corners, options.motion.min_used);
+      spdlog::info("frame {} shows too little to be placed: {}", item->frame_idx, record.message);
+      workspace.add_frame(record, nullptr);
+      progress.update(item->frame_idx + 1);
+      return;
+    }
     record.submap = step.submap;
     record.submap_from_cam = step.world_from_cam;
     record.reference_frame = step.reference_frame;
@@ -238,7 +247,6 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
       write_motion_picture(options.motion_pictures, *chain.view(item->frame_idx), step, item->frame_idx,
                            stream.camera());
     }
-    ++registered;
     if (stereo::fraction_at_limit(item->disparity, stream.stereo_options()) > kMaxAtLimit) ++at_limit;
 
     const bool stored = step.submap != last_view_submap ||
@@ -301,7 +309,8 @@ FramesSummary summarise_frames(const workspace::Workspace& workspace, workspace:
   std::map<int, Eigen::Vector3d> last_position;
   workspace.for_each_frame([&](const workspace::FrameRecord& record) {
     ++summary.frames;
-    if (!record.readable) ++summary.unreadable;
+    if (record.state == workspace::FrameState::unreadable) ++summary.unreadable;
+    if (record.state == workspace::FrameState::blind) ++summary.blind;
   });
   for (const PoseNode& node : workspace.pose_graph(poses).nodes) {
     ++summary.posed;

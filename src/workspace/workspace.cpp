@@ -20,13 +20,13 @@ namespace fs = std::filesystem;
 namespace {
 
 // Raised whenever the tables change: a workspace of another version is refused, not misread.
-constexpr int kSchema = 2;
+constexpr int kSchema = 3;
 
 constexpr const char* kTables = R"(
 CREATE TABLE IF NOT EXISTS about  (name TEXT PRIMARY KEY, text TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS value  (name TEXT PRIMARY KEY, text TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS stage  (name TEXT PRIMARY KEY, fingerprint TEXT NOT NULL, outputs TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS frame  (frame_idx INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, readable INTEGER NOT NULL,
+CREATE TABLE IF NOT EXISTS frame  (frame_idx INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, state INTEGER NOT NULL,
                                    message TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS pose   (frame_idx INTEGER PRIMARY KEY, submap INTEGER NOT NULL, submap_from_cam BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS motion (frame_idx INTEGER PRIMARY KEY, reference_frame INTEGER NOT NULL, status INTEGER NOT NULL,
@@ -166,7 +166,7 @@ class CachedViewStore : public views::ViewStore {
 };
 
 constexpr const char* kSelectFrame =
-    "SELECT frame.frame_idx, stamp_ns, readable, message, submap, submap_from_cam, reference_frame, status, "
+    "SELECT frame.frame_idx, stamp_ns, state, message, submap, submap_from_cam, reference_frame, status, "
     "reference_from_frame, covariance, corners, initial, consistent, used, rms_px "
     "FROM frame LEFT JOIN pose USING (frame_idx) LEFT JOIN motion USING (frame_idx) ";
 
@@ -174,9 +174,9 @@ FrameRecord frame_of(const Statement& row) {
   FrameRecord record;
   record.frame_idx = static_cast<int>(row.integer(0));
   record.stamp_ns = row.integer(1);
-  record.readable = row.integer(2) != 0;
+  record.state = static_cast<FrameState>(row.integer(2));
   record.message = row.text(3);
-  if (!record.readable) return record;
+  if (record.state != FrameState::posed) return record;
   record.submap = static_cast<int>(row.integer(4));
   record.submap_from_cam = pose_of(row.matrix<Eigen::Matrix<double, 3, 4>>(5));
   record.reference_frame = static_cast<int>(row.integer(6));
@@ -344,9 +344,9 @@ void Workspace::add_frame(const FrameRecord& record, const StereoView* view) {
   }
   Transaction transaction(db);
   Statement(db, "INSERT INTO frame VALUES (?1, ?2, ?3, ?4)")
-      .bind(record.frame_idx, record.stamp_ns, record.readable, record.message)
+      .bind(record.frame_idx, record.stamp_ns, static_cast<int>(record.state), record.message)
       .step();
-  if (record.readable) {
+  if (record.state == FrameState::posed) {
     Statement(db, "INSERT INTO pose VALUES (?1, ?2, ?3)")
         .bind(record.frame_idx, record.submap, matrix_of(record.submap_from_cam))
         .step();
@@ -392,7 +392,7 @@ std::optional<FrameRecord> Workspace::frame(int frame_idx) const {
 
 std::vector<FrameRecord> Workspace::last_posed_frames(int count) const {
   Statement select(impl_->database,
-                   std::string(kSelectFrame) + "WHERE readable = 1 ORDER BY frame.frame_idx DESC LIMIT ?1");
+                   std::string(kSelectFrame) + "WHERE state = 1 ORDER BY frame.frame_idx DESC LIMIT ?1");
   select.bind(count);
   std::vector<FrameRecord> records;
   while (select.step()) records.push_back(frame_of(select));
@@ -498,7 +498,7 @@ PoseGraph Workspace::pose_graph(Poses poses) const {
     graph.nodes.push_back(node);
   }
   for_each_frame([&](const FrameRecord& record) {
-    if (!record.readable || record.reference_frame < 0) return;
+    if (record.state != FrameState::posed || record.reference_frame < 0) return;
     graph.edges.push_back(
         {.i = record.reference_frame,
          .j = record.frame_idx,

@@ -263,7 +263,7 @@ TEST(EstimateMotionFails, AsDegenerateWithPointsNearlyOnALine) {
 class Chain : public ::testing::Test {
  protected:
   static const std::vector<ViewFeatures>& views() {
-    // Seven steps along the room; view 3 looks at an empty wall, view 5 the other way.
+    // Seven steps along the room; view 3 looks at an empty wall.
     static const std::vector<ViewFeatures> result = [] {
       std::vector<ViewFeatures> v;
       for (int i = 0; i < 8; ++i) v.push_back(features_at(world(i), {}));
@@ -273,12 +273,13 @@ class Chain : public ::testing::Test {
     }();
     return result;
   }
+  static ViewFeatures other_wall() { return features_at(pose({0, 0, 1.0}, 180, 0, 0), {}); }
   static Pose world(int i) { return pose({-0.2 + 0.05 * i, 0, -1.5 + 0.04 * i}, 5 - 1.0 * i, -3, 2 + 0.5 * i); }
 };
 
 bool equal_bits(const Pose& a, const Pose& b) { return std::memcmp(a.data(), b.data(), sizeof(double) * 16) == 0; }
 
-TEST_F(Chain, ChainsPosesAndStartsASubMapWhereNoMotionIsFound) {
+TEST_F(Chain, ChainsPosesAndLeavesOutAViewThatShowsNothing) {
   MotionChain chain(kCamera, {});
   std::vector<ChainStep> steps;
   for (int i = 0; i < 8; ++i) steps.push_back(chain.push(views()[i], i));
@@ -291,20 +292,37 @@ TEST_F(Chain, ChainsPosesAndStartsASubMapWhereNoMotionIsFound) {
     EXPECT_LT(error.translation().norm(), 0.02);
     EXPECT_LT(rotation_angle(error), 0.2 * kDegree);
   }
-  EXPECT_TRUE(steps[3].new_submap);
-  EXPECT_EQ(steps[3].submap, 1);
+  EXPECT_TRUE(steps[3].blind);
+  EXPECT_FALSE(steps[3].new_submap);
   EXPECT_EQ(steps[3].estimate.status, MotionStatus::too_few_corners);
-  EXPECT_TRUE(equal_bits(steps[3].world_from_cam, Pose::Identity()));
   // The path goes on behind the spoilt view, in the sub-map before it.
   EXPECT_EQ(steps[4].reference_frame, 2);
   EXPECT_EQ(steps[4].submap, 0);
   EXPECT_LT(((world(0).inverse() * world(7)).inverse() * steps[7].world_from_cam).translation().norm(), 0.04);
+  // What shows something begins a sub-map of its own; behind it as well the path goes on.
+  const ChainStep away = chain.push(other_wall(), 8), back = chain.push(views()[7], 9);
+  EXPECT_TRUE(away.new_submap);
+  EXPECT_EQ(away.submap, 1);
+  EXPECT_EQ(away.estimate.status, MotionStatus::too_few_consistent);
+  EXPECT_TRUE(equal_bits(away.world_from_cam, Pose::Identity()));
+  EXPECT_EQ(back.reference_frame, 7);
+  EXPECT_EQ(back.submap, 0);
+}
+
+TEST_F(Chain, BeginsWithTheFirstViewThatShowsSomething) {
+  MotionChain chain(kCamera, {});
+  const ChainStep dark = chain.push(views()[3], 0), first = chain.push(views()[0], 1);
+  EXPECT_TRUE(dark.blind);
+  EXPECT_FALSE(dark.new_submap);
+  EXPECT_TRUE(first.new_submap);
+  EXPECT_EQ(first.submap, 0);
+  EXPECT_EQ(chain.push(views()[1], 2).reference_frame, 1);
 }
 
 TEST_F(Chain, NumbersOfSubMapsAreNeverUsedTwice) {
   MotionChain chain(kCamera, {});
   chain.restore({{10, views()[0], Pose::Identity(), 0}}, 3);
-  EXPECT_EQ(chain.push(views()[3], 11).submap, 3);
+  EXPECT_EQ(chain.push(other_wall(), 11).submap, 3);
   EXPECT_EQ(chain.push(views()[1], 12).submap, 0);
 }
 
@@ -379,7 +397,7 @@ TEST_F(Chain, GuessesOnlyIfAskedAndSaysSo) {
   EXPECT_LT((first.estimate.prev_from_cur.translation() - 2 * once.translation()).norm(), 1e-12);
   EXPECT_NEAR(rotation_angle(first.estimate.prev_from_cur), 2 * rotation_angle(once), 1e-9);
   EXPECT_EQ(blind.push(views()[3], 4).estimate.status, MotionStatus::guessed);
-  EXPECT_TRUE(blind.push(views()[3], 5).new_submap);
+  EXPECT_TRUE(blind.push(views()[3], 5).blind);
 }
 
 TEST_F(Chain, PicturesShowWhatAMotionWasMadeOf) {
@@ -416,8 +434,10 @@ TEST_F(Chain, GoesOnBitByBitAfterARestart) {
       MotionChain chain(kCamera, options);
       std::vector<MotionChain::Restored> last;
       std::vector<bool> needed(8, false);
-      for (int i = std::max(0, cut - chain.kept_views()); i < cut; ++i) {
+      for (int i = cut - 1, kept = 0; i >= 0 && kept < chain.kept_views(); --i) {
+        if (steps[i].blind) continue;
         needed[i] = true;
+        ++kept;
         if (steps[i].reference_frame >= 0) needed[steps[i].reference_frame] = true;
       }
       for (int i = 0; i < cut; ++i) {

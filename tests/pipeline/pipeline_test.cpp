@@ -152,13 +152,16 @@ TEST(SummariseFrames, CountsPosesSubMapsAndPath) {
   const TemporaryFolder folder;
   auto workspace = workspace::Workspace::create(folder.path() / "out", "s", "f");
   for (int i = 0; i < 7; ++i) {
-    workspace::FrameRecord record{.frame_idx = i, .readable = i != 3};
+    workspace::FrameRecord record{.frame_idx = i};
+    if (i == 3) record.state = workspace::FrameState::unreadable;
     record.submap = i < 3 ? 0 : 1;
     record.submap_from_cam.translation().x() = i < 3 ? i : 2.0 * (i - 4);
     workspace.add_frame(record, nullptr);
   }
+  workspace.add_frame({.frame_idx = 7, .state = workspace::FrameState::blind}, nullptr);
   const FramesSummary summary = summarise_frames(workspace, workspace::Poses::odometry);
-  EXPECT_EQ(summary.frames, 7);
+  EXPECT_EQ(summary.frames, 8);
+  EXPECT_EQ(summary.blind, 1);
   EXPECT_EQ(summary.posed, 6);
   EXPECT_EQ(summary.unreadable, 1);
   EXPECT_EQ(summary.submaps, 2);

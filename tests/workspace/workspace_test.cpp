@@ -106,7 +106,8 @@ TEST(Workspace, GivesBackEveryRecordBitForBitAfterReopening) {
       const StereoView view = test_view(i, true);
       workspace.add_frame(posed(i, i < 3 ? 0 : 1), i % 2 == 0 ? &view : nullptr);
     }
-    workspace.add_frame({.frame_idx = 5, .stamp_ns = 9, .readable = false, .message = "left.png: truncated"}, nullptr);
+    workspace.add_frame(
+        {.frame_idx = 5, .stamp_ns = 9, .state = FrameState::unreadable, .message = "left.png: truncated"}, nullptr);
   }
   const Workspace workspace = Workspace::open(folder.path() / "out");
   EXPECT_EQ(workspace.session_folder(), "/recordings/a");
@@ -114,6 +115,7 @@ TEST(Workspace, GivesBackEveryRecordBitForBitAfterReopening) {
   EXPECT_EQ(workspace.view_count(), 3);
   EXPECT_EQ(workspace.last_view_frame(), 4);
   EXPECT_FALSE(workspace.frame(6).has_value());
+  EXPECT_EQ(workspace.frame(5)->state, FrameState::unreadable);
   EXPECT_EQ(workspace.frame(5)->message, "left.png: truncated");
   const FrameRecord expected = posed(4, 1), record = *workspace.frame(4);
   EXPECT_EQ(record.stamp_ns, expected.stamp_ns);

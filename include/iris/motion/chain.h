@@ -1,5 +1,6 @@
 // Chains the motions between views into poses (thesis 5.3.4, eq. 5.5). What to do about a failed motion, in order: the
 // last few views, many more corners and SIFT, then (only if asked for) the last motion continued, then a new sub-map.
+// A view that shows too little for any motion begins none: it gets no pose.
 #pragma once
 
 #include <algorithm>
@@ -13,14 +14,16 @@
 namespace iris::motion {
 
 struct ChainStep {
-  // Against reference_frame; its status is ok, or guessed. For the first view of a sub-map: why there is none.
+  // Against reference_frame; its status is ok, or guessed. For the first view of a sub-map, and for one without a pose:
+  // why there is none.
   MotionEstimate estimate;
   std::vector<Correspondence> initial, consistent, used;  // of that estimate
   int reference_frame = -1;                               // frame_idx of the earlier view; -1: none
   Pose world_from_cam = Pose::Identity();                 // world = first camera of the sub-map
   int submap = 0;                                         // counts from 0
   bool new_submap = false;                                // this view is the first of its sub-map
-  bool rescued = false;                                   // found by the second attempt (rescue.h)
+  bool blind = false;    // too few corners to relate it to any view: no pose, no sub-map; the chain forgets it
+  bool rescued = false;  // found by the second attempt (rescue.h)
 };
 
 class MotionChain {
@@ -48,7 +51,7 @@ class MotionChain {
   // The pose of the next view. Its motion is estimated against the previous view (the one that this rests at, if it
   // rests) and, if that fails, against up to retry_views earlier ones, most recent first; then once more against the
   // last options.window views that do not rest. They may belong to an earlier sub-map: a few spoilt views (blur, a
-  // hand before the lens) become a sub-map of their own and the path goes on behind them.
+  // hand before the lens) get no pose or become a sub-map of their own, and the path goes on behind them.
   ChainStep push(ViewFeatures features, int frame_idx);
 
   // The features of the view pushed last or of its reference_frame; null if there is no such view.
@@ -62,6 +65,7 @@ class MotionChain {
 
   bool find_motion(const ViewFeatures& features, ChainStep& step);
   bool rescue(const ViewFeatures& features, ChainStep& step);
+  bool blind(const ViewFeatures& features) const;
   bool guess(int frame_idx, ChainStep& step) const;
   void measure_in_window(const ViewFeatures& features, ChainStep& step) const;
   const View* find(int frame_idx) const;

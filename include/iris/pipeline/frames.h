@@ -18,6 +18,7 @@ struct FramesSummary {
   int frames = 0;      // in the session
   int posed = 0;       // with a pose
   int unreadable = 0;  // skipped: the image files are damaged
+  int blind = 0;       // skipped: they show too little to be placed
   int submaps = 0;
   int largest_submap = 0;  // the one with most poses (the first of several)
   int views = 0;

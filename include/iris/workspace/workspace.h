@@ -19,14 +19,18 @@
 
 namespace iris::workspace {
 
+// Whether a frame of the session has a pose, or why it has none: its images are damaged, or show too little (a covered
+// lens, darkness, a bare wall). The numbers are stored.
+enum class FrameState { unreadable = 0, posed = 1, blind = 2 };
+
 // What became of one frame of the session.
 struct FrameRecord {
   int frame_idx = 0;
   int64_t stamp_ns = 0;
-  bool readable = true;
-  std::string message;  // why it is not readable
+  FrameState state = FrameState::posed;
+  std::string message;  // why it has no pose
 
-  // Of readable frames:
+  // Of frames with a pose:
   int submap = 0;
   Pose submap_from_cam = Pose::Identity();  // the sub-map's frame is its first camera
   int reference_frame = -1;                 // the earlier frame that `motion` is measured against; -1: begins a sub-map
@@ -100,7 +104,7 @@ class Workspace {
   void add_frame(const FrameRecord& record, const StereoView* view);
   int frame_count() const;
   std::optional<FrameRecord> frame(int frame_idx) const;
-  std::vector<FrameRecord> last_posed_frames(int count) const;  // ascending; readable ones only
+  std::vector<FrameRecord> last_posed_frames(int count) const;  // ascending
   void for_each_frame(const std::function<void(const FrameRecord&)>& visit) const;
   std::optional<int> last_view_frame() const;
   int view_count() const;
@@ -112,7 +116,7 @@ class Workspace {
   std::vector<WorldRecord> worlds() const;
   std::string calibration() const;  // RefinedPath::calibration; empty before the loop stage
 
-  // Poses of all readable frames with their odometry edges and, of the refined path, its accepted loops.
+  // Poses of all frames that have one with their odometry edges and, of the refined path, its accepted loops.
   PoseGraph pose_graph(Poses poses) const;
 
   // The stored views of one sub-map (or of all: submap < 0), read on demand through a cache of at most `cache_bytes`.

@@ -284,8 +284,13 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
         "--stereo.disparities to see them",
         at_limit, registered);
   }
-  if (summarise_frames(workspace, workspace::Poses::odometry).posed == 0) {
-    throw InputError(session.folder(), "none of its frames could be used", "see the log for the reason of each");
+  const FramesSummary summary = summarise_frames(workspace, workspace::Poses::odometry);
+  if (summary.posed == 0) {
+    throw InputError(
+        session.folder(),
+        fmt::format("none of its {} frames has a pose: {} cannot be read, {} show too little (dark, covered or bare)",
+                    summary.frames, summary.unreadable, summary.blind),
+        "look at its pictures and at the log, which says why for each");
   }
   return {};
 }

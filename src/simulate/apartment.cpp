@@ -23,31 +23,54 @@ Scene apartment(uint32_t seed) {
 
   // Walls: each room has its own; one side of the hall and one of the bedroom are bare, one stripe of the bedroom
   // repeats exactly.
-  const Material hall_wall = with_texture("hall plaster", plaster(s + 20, {186, 212, 222}, 0.075), false);
-  const Material living_wall =
-      with_texture("living wallpaper", wallpaper(s + 21, {196, 214, 218}, {128, 158, 142}), false);
-  const Material kitchen_wall = with_texture("kitchen plaster", plaster(s + 22, {160, 205, 214}, 0.08), false);
-  const Material kitchen_tiles =
-      with_texture("kitchen tiles", tiles(s + 23, {205, 212, 208}, {196, 176, 150}, 0.15, 768, 8), false);
-  const Material bath_tiles =
-      with_texture("bath tiles", tiles(s + 24, {214, 200, 180}, {200, 178, 150}, 0.2, 768, 8), false);
-  const Material bedroom_wall =
-      with_texture("bedroom wallpaper", wallpaper(s + 25, {205, 205, 222}, {160, 130, 170}), false);
+  const Material hall_wall = covering("hall plaster", s + 20, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {186, 212, 222}, 0.075, extent);
+  });
+  const Material living_wall = covering("living wallpaper", s + 21, [](uint32_t seed, const Extent& extent) {
+    return wallpaper(seed, {196, 214, 218}, {128, 158, 142}, extent);
+  });
+  const Material kitchen_wall = covering("kitchen plaster", s + 22, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {160, 205, 214}, 0.08, extent);
+  });
+  const Material kitchen_tiles = covering("kitchen tiles", s + 23, [](uint32_t seed, const Extent& extent) {
+    return tiles(seed, {205, 212, 208}, {196, 176, 150}, 0.15, 96, extent);
+  });
+  const Material bath_tiles = covering("bath tiles", s + 24, [](uint32_t seed, const Extent& extent) {
+    return tiles(seed, {214, 200, 180}, {200, 178, 150}, 0.2, 96, extent);
+  });
+  const Material bedroom_wall = covering("bedroom wallpaper", s + 25, [](uint32_t seed, const Extent& extent) {
+    return wallpaper(seed, {205, 205, 222}, {160, 130, 170}, extent);
+  });
   const Material bedroom_stripes =
       with_texture("striped wallpaper", stripes({205, 214, 222}, {150, 120, 95}, 0.09), false);
-  const Material study_wall = with_texture("study brick", brick(s + 26, {82, 108, 168}), false);
-  const Material study_plaster = with_texture("study plaster", plaster(s + 27, {196, 204, 196}, 0.075), false);
-  const Material child_wall = with_texture("child plaster", plaster(s + 28, {208, 206, 176}, 0.08), false);
+  const Material study_wall = covering("study brick", s + 26, [](uint32_t seed, const Extent& extent) {
+    return brick(seed, {82, 108, 168}, extent);
+  });
+  const Material study_plaster = covering("study plaster", s + 27, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {196, 204, 196}, 0.075, extent);
+  });
+  const Material child_wall = covering("child plaster", s + 28, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {208, 206, 176}, 0.08, extent);
+  });
   Material bare_hall = plain("bare hall wall", {200, 214, 220}),
            bare_bedroom = plain("bare bedroom wall", {214, 216, 228});
   bare_hall.shaded = bare_bedroom.shaded = false;
-  const Material ceiling = with_texture("ceiling", plaster(s + 29, {222, 226, 228}, 0.055), false);
-  const Material oak_floor = with_texture("oak parquet", parquet(s + 30, {98, 142, 182}), false);
-  const Material dark_floor = with_texture("walnut parquet", parquet(s + 31, {74, 104, 140}), false);
-  const Material kitchen_floor =
-      with_texture("kitchen floor", tiles(s + 32, {170, 184, 190}, {110, 118, 128}, 0.3, 1024, 8), false);
+  const Material ceiling = covering("ceiling", s + 29, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {222, 226, 228}, 0.055, extent);
+  });
+  const Material oak_floor = covering("oak parquet", s + 30, [](uint32_t seed, const Extent& extent) {
+    return parquet(seed, {98, 142, 182}, extent);
+  });
+  const Material dark_floor = covering("walnut parquet", s + 31, [](uint32_t seed, const Extent& extent) {
+    return parquet(seed, {74, 104, 140}, extent);
+  });
+  const Material kitchen_floor = covering("kitchen floor", s + 32, [](uint32_t seed, const Extent& extent) {
+    return tiles(seed, {170, 184, 190}, {110, 118, 128}, 0.3, 128, extent);
+  });
   const Material bath_floor = with_texture("bath floor", exact_tiles(s + 33, {190, 180, 170}, 0.2), false);
-  const Material soft_floor = with_texture("carpet", carpet(s + 34, {140, 120, 104}, {172, 158, 138}), false);
+  const Material soft_floor = covering("carpet", s + 34, [](uint32_t seed, const Extent& extent) {
+    return carpet(seed, {140, 120, 104}, {172, 158, 138}, extent);
+  });
 
   constexpr double kDoor = 2.05;
   const Opening living_hall{2.6, 3.5, 0, kDoor}, kitchen_hall{6.0, 6.9, 0, kDoor}, bath_hall{8.6, 9.5, 0, kDoor},

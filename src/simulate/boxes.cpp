@@ -9,11 +9,21 @@ Scene boxes(uint32_t seed) {
   Scene scene{.name = "boxes"};
   MeshBuilder b;
   const Materials m(s);
-  const Material wall = with_texture("plaster", plaster(s + 20, {186, 206, 212}, 0.08), false);
-  const Material papered = with_texture("wallpaper", wallpaper(s + 21, {200, 208, 214}, {150, 140, 110}), false);
-  const Material brick_wall = with_texture("brick", brick(s + 22, {92, 120, 176}), false);
-  const Material ceiling = with_texture("ceiling", plaster(s + 23, {222, 226, 228}, 0.055), false);
-  const Material floor = with_texture("parquet", parquet(s + 24, {96, 138, 176}), false);
+  const Material wall = covering("plaster", s + 20, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {186, 206, 212}, 0.08, extent);
+  });
+  const Material papered = covering("wallpaper", s + 21, [](uint32_t seed, const Extent& extent) {
+    return wallpaper(seed, {200, 208, 214}, {150, 140, 110}, extent);
+  });
+  const Material brick_wall = covering("brick", s + 22, [](uint32_t seed, const Extent& extent) {
+    return brick(seed, {92, 120, 176}, extent);
+  });
+  const Material ceiling = covering("ceiling", s + 23, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {222, 226, 228}, 0.055, extent);
+  });
+  const Material floor = covering("parquet", s + 24, [](uint32_t seed, const Extent& extent) {
+    return parquet(seed, {96, 138, 176}, extent);
+  });
   const Room room{.name = "room",
                   .x0 = -3.2,
                   .y0 = -3,

@@ -75,10 +75,18 @@ Scene calibration_target(TargetKind kind, uint32_t seed) {
   const uint32_t s = hash(seed, 6);
   Scene scene;
   MeshBuilder b;
-  const Material wall = with_texture("wallpaper", wallpaper(s + 20, {170, 186, 190}, {120, 150, 130}), false);
-  const Material plaster_wall = with_texture("plaster", plaster(s + 21, {176, 196, 204}, 0.08), false);
-  const Material ceiling = with_texture("ceiling", plaster(s + 22, {222, 226, 228}, 0.055, 512), false);
-  const Material floor = with_texture("parquet", parquet(s + 23, {96, 138, 176}), false);
+  const Material wall = covering("wallpaper", s + 20, [](uint32_t seed, const Extent& extent) {
+    return wallpaper(seed, {170, 186, 190}, {120, 150, 130}, extent);
+  });
+  const Material plaster_wall = covering("plaster", s + 21, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {176, 196, 204}, 0.08, extent);
+  });
+  const Material ceiling = covering("ceiling", s + 22, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {222, 226, 228}, 0.055, extent);
+  });
+  const Material floor = covering("parquet", s + 23, [](uint32_t seed, const Extent& extent) {
+    return parquet(seed, {96, 138, 176}, extent);
+  });
   const Room room{.name = "room",
                   .x0 = -2.2,
                   .y0 = -2.4,

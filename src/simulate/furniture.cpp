@@ -23,17 +23,17 @@ Materials::Materials(uint32_t s)
     : oak(with_texture("oak", wood(s + 1, {95, 145, 190}))),
       pine(with_texture("pine", wood(s + 2, {125, 180, 215}))),
       walnut(with_texture("walnut", wood(s + 3, {62, 88, 122}))),
-      painted(with_texture("paint", plaster(s + 4, {206, 212, 210}, 0.07, 256, 0.64))),
+      painted(with_texture("paint", plaster(s + 4, {206, 212, 210}, 0.07, {1.28, 1.28}))),
       red_cloth(with_texture("red cloth", fabric(s + 5, {62, 58, 158}, {120, 150, 200}))),
       blue_cloth(with_texture("blue cloth", fabric(s + 6, {150, 100, 62}, {205, 190, 150}))),
       green_cloth(with_texture("green cloth", fabric(s + 7, {85, 125, 82}, {150, 190, 170}))),
       linen(with_texture("linen", fabric(s + 8, {200, 208, 212}, {160, 150, 190}))),
       curtain(with_texture("curtain", fabric(s + 9, {150, 185, 205}, {110, 120, 180}))),
-      worktop(with_texture("worktop", granite(s + 10, {105, 110, 112}))),
+      worktop(with_texture("worktop", granite(s + 10, {105, 110, 112}, 512))),
       leaf(with_texture("leaf", granite(s + 11, {55, 125, 70}))),
       earth(with_texture("earth", granite(s + 12, {45, 58, 72}, 64))),
       clay(with_texture("clay", granite(s + 13, {75, 110, 175}, 128))),
-      steel(with_texture("steel", wood(s + 14, {150, 148, 146}, 256, 64))),
+      steel(with_texture("steel", wood(s + 14, {150, 148, 146}, {0.64, 0.16}))),
       white(plain("white", {232, 234, 235})),
       black(plain("black", {42, 40, 40})),
       glow{.name = "glow", .texture = {}, .colour = {200, 240, 252}, .shaded = false},
@@ -77,12 +77,12 @@ void Room::build(MeshBuilder& b) const {
       local.push_back({std::min(from, to), std::max(from, to), opening.bottom, opening.top});
     }
     place_at(b, side, side == south ? x1 : side == east ? y1 : side == north ? x0 : y0);
-    b.wall(*material, length(side), height, local, skirting);
+    b.wall(b.surface(*material, length(side), height), length(side), height, local, skirting);
   }
   b.place(0, 0);
   const Vector3 x(x1 - x0, 0, 0), y(0, y1 - y0, 0);
-  if (floor) b.quad(*floor, {x0, y1, 0}, x, -y);
-  if (ceiling) b.quad(*ceiling, {x0, y0, height}, x, y);
+  if (floor) b.quad(b.surface(*floor, x.norm(), y.norm()), {x0, y1, 0}, x, -y);
+  if (ceiling) b.quad(b.surface(*ceiling, x.norm(), y.norm()), {x0, y0, height}, x, y);
 }
 
 void door_frame(MeshBuilder& b, const Material& material, bool wall_along_x, double from, double to, double low,
@@ -101,7 +101,7 @@ void door_frame(MeshBuilder& b, const Material& material, bool wall_along_x, dou
   b.box(material, {low - kWide, from - kOut, 0.001}, {low, to + kOut, top + kWide});
   b.box(material, {high, from - kOut, 0.001}, {high + kWide, to + kOut, top + kWide});
   b.box(material, {low - 0.02, from - kOut - 0.002, top}, {high + 0.02, to + kOut + 0.002, top + kWide + 0.002});
-  b.quad(threshold, {low, to, 0}, {high - low, 0, 0}, {0, from - to, 0});
+  b.quad(threshold, {low, to, 0}, {high - low, 0, 0}, {0, from - to, 0}, {3.7 * low, 2.3 * to});
 }
 
 void window(MeshBuilder& b, const Room& room, Side side, const Opening& opening, const Material& frame,

@@ -99,10 +99,18 @@ Scene grasp(uint32_t seed) {
   Scene scene{.name = "grasp"};
   MeshBuilder b;
   const Materials m(s);
-  const Material wall = with_texture("plaster", plaster(s + 20, {186, 206, 212}, 0.08), false);
-  const Material brick_wall = with_texture("brick", brick(s + 21, {96, 124, 176}), false);
-  const Material ceiling = with_texture("ceiling", plaster(s + 22, {222, 226, 228}, 0.055), false);
-  const Material floor = with_texture("parquet", parquet(s + 23, {96, 138, 176}), false);
+  const Material wall = covering("plaster", s + 20, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {186, 206, 212}, 0.08, extent);
+  });
+  const Material brick_wall = covering("brick", s + 21, [](uint32_t seed, const Extent& extent) {
+    return brick(seed, {96, 124, 176}, extent);
+  });
+  const Material ceiling = covering("ceiling", s + 22, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {222, 226, 228}, 0.055, extent);
+  });
+  const Material floor = covering("parquet", s + 23, [](uint32_t seed, const Extent& extent) {
+    return parquet(seed, {96, 138, 176}, extent);
+  });
   const Room room{.name = "room",
                   .x0 = -2,
                   .y0 = -2.2,
@@ -151,14 +159,14 @@ Scene grasp(uint32_t seed) {
   };
   const auto mug = [motion](double t) { return motion->world_from_mug(t); };
   begin("mug", mug);
-  const Material glaze = with_texture("glaze", tiles(s + 40, {70, 110, 200}, {150, 190, 220}, 0.02, 256, 8));
+  const Material glaze = with_texture("glaze", tiles(s + 40, {70, 110, 200}, {150, 190, 220}, 0.02, 32, {0.16, 0.16}));
   b.cylinder(glaze, {0, 0, 0.001}, {0, 0, 0.11}, 0.036, 0.04, 28);
   b.cylinder(glaze, {0, -0.04, 0.085}, {0, -0.065, 0.08}, 0.006, 0.006, 8);
   b.cylinder(glaze, {0, -0.065, 0.082}, {0, -0.065, 0.032}, 0.006, 0.006, 8);
   b.cylinder(glaze, {0, -0.038, 0.03}, {0, -0.065, 0.034}, 0.006, 0.006, 8);
   add_moving(mug);
 
-  const Material skin = with_texture("skin", plaster(s + 41, {128, 158, 208}, 0.09, 256, 0.4));
+  const Material skin = with_texture("skin", plaster(s + 41, {128, 158, 208}, 0.09, {0.64, 0.64}));
   const auto palm = [motion](double t) { return motion->world_from_palm(t); };
   begin("palm", palm);
   b.box(skin, {-0.05, -0.044, -0.014}, {0.05, 0.044, 0.014});

@@ -26,9 +26,19 @@ cv::Vec3b scaled(const cv::Vec3b& colour, int gain) {
   return {scaled(colour[0], gain), scaled(colour[1], gain), scaled(colour[2], gain)};
 }
 
-double offset_of(const Vector3& point, uint32_t salt) {
+// What part of a texture a face shows: equal content at two places would be mistaken for the same place. Textures are
+// larger than most faces, but not so large that parts never overlap; mirrored or of another scale, they do not match.
+struct Cut {
+  Vector2 start;  // [m]
+  Vector2 scale;  // of the texture; u negative: mirrored
+  Vector2 at(double u, double v) const { return start + scale.cwiseProduct(Vector2(u, v)); }
+};
+Cut cut_of(const Vector3& point, uint32_t salt) {
   const auto mm = [](double x) { return static_cast<uint32_t>(static_cast<int32_t>(std::lround(x * 1000))); };
-  return (hash(mm(point.x()), mm(point.y()), mm(point.z()), salt) & 1023) * 0.01;
+  Random random(hash(mm(point.x()), mm(point.y()), mm(point.z()), salt));
+  const Vector2 start(random.uniform(0, 10.24), random.uniform(0, 10.24));
+  const double scale = random.uniform(0.8, 1.25);
+  return {start, {random.below(2) ? -scale : scale, scale}};
 }
 
 }  // namespace
@@ -74,6 +84,15 @@ TriangleMesh& MeshBuilder::mesh_for(const Material& material, const Vector3& nor
 
 Vector2 MeshBuilder::tiles_of(const Material& material, const Vector2& metres) {
   return {metres.x() / material.texture.width, metres.y() / material.texture.height};
+}
+
+Material MeshBuilder::surface(const Material& material, double width, double height) {
+  if (!material.cover) return material;
+  const uint32_t number = ++surfaces_[material.name];
+  Material own = material;
+  own.name.append(" ").append(std::to_string(number));
+  own.texture = material.cover(hash(material.seed, number), {width, height});
+  return own;
 }
 
 void MeshBuilder::polygon(const Material& material, const std::vector<Vertex>& vertices) {
@@ -124,17 +143,14 @@ void MeshBuilder::box(const Material& material, const Vector3& low, const Vector
   uint32_t salt = 0;
   for (const Face& face : faces) {
     ++salt;
-    const Vector3 place = world_from_local_ * face.corner;
-    const Vector2 uv(offset_of(place, salt), offset_of(place, salt + 10));
+    const Cut cut = cut_of(world_from_local_ * face.corner, salt);
     const double width = face.right.norm(), height = face.down.norm();
-    if (width >= height) {
-      quad(material, face.corner, face.right, face.down, uv);
-    } else {
-      polygon(material, {{face.corner, tiles_of(material, uv)},
-                         {face.corner + face.down, tiles_of(material, uv + Vector2(height, 0))},
-                         {face.corner + face.right + face.down, tiles_of(material, uv + Vector2(height, width))},
-                         {face.corner + face.right, tiles_of(material, uv + Vector2(0, width))}});
-    }
+    const bool upright = width < height;
+    const auto uv = [&](double x, double y) { return tiles_of(material, upright ? cut.at(y, x) : cut.at(x, y)); };
+    polygon(material, {{face.corner, uv(0, 0)},
+                       {face.corner + face.down, uv(0, height)},
+                       {face.corner + face.right + face.down, uv(width, height)},
+                       {face.corner + face.right, uv(width, 0)}});
   }
 }
 
@@ -144,7 +160,7 @@ void MeshBuilder::cylinder(const Material& material, const Vector3& from, const 
   const Vector3 a = axis.cross(std::abs(axis.z()) < 0.9 ? Vector3::UnitZ() : Vector3::UnitX()).normalized();
   const Vector3 b = axis.cross(a);
   const double length = (to - from).norm(), around = 2 * M_PI * std::max(radius_from, radius_to);
-  const Vector2 start(offset_of(world_from_local_ * from, 1), offset_of(world_from_local_ * to, 2));
+  const Cut cut = cut_of(world_from_local_ * from, 7);
   const auto on = [&](int i) -> Vector3 {
     const double angle = 2 * M_PI * (i % segments) / segments;
     return std::cos(angle) * a + std::sin(angle) * b;
@@ -154,13 +170,13 @@ void MeshBuilder::cylinder(const Material& material, const Vector3& from, const 
     const Vector3 here = on(i), next = on(i + 1);
     const double u0 = around * i / segments, u1 = around * (i + 1) / segments;
     std::vector<Vertex> side;
-    side.push_back({from + radius_from * here, tiles_of(material, start + Vector2(0, u0))});
-    if (radius_from > 0) side.push_back({from + radius_from * next, tiles_of(material, start + Vector2(0, u1))});
-    side.push_back({to + radius_to * next, tiles_of(material, start + Vector2(length, u1))});
-    if (radius_to > 0) side.push_back({to + radius_to * here, tiles_of(material, start + Vector2(length, u0))});
+    side.push_back({from + radius_from * here, tiles_of(material, cut.at(0, u0))});
+    if (radius_from > 0) side.push_back({from + radius_from * next, tiles_of(material, cut.at(0, u1))});
+    side.push_back({to + radius_to * next, tiles_of(material, cut.at(length, u1))});
+    if (radius_to > 0) side.push_back({to + radius_to * here, tiles_of(material, cut.at(length, u0))});
     polygon(material, side);
     const auto flat = [&](const Vector3& p, double r) {
-      return tiles_of(material, start + r * Vector2(p.dot(a), p.dot(b)));
+      return tiles_of(material, cut.at(r * p.dot(a), r * p.dot(b)));
     };
     bottom.push_back({from + radius_from * here, flat(here, radius_from)});
     top.push_back({to + radius_to * here, flat(here, radius_to)});
@@ -179,7 +195,8 @@ void MeshBuilder::ellipsoid(const Material& material, const Vector3& centre, con
            Vector3(radii.x() * s * std::cos(around), radii.y() * s * std::sin(around), radii.z() * std::cos(up));
   };
   const double width = 2 * M_PI * std::max(radii.x(), radii.y()), height = M_PI * radii.z();
-  const auto uv = [&](int i, int j) { return tiles_of(material, Vector2(width * i / segments, height * j / rings)); };
+  const Cut cut = cut_of(world_from_local_ * centre, 8);
+  const auto uv = [&](int i, int j) { return tiles_of(material, cut.at(width * i / segments, height * j / rings)); };
   for (int j = 0; j < rings; ++j) {
     for (int i = 0; i < segments; ++i) {
       std::vector<Vertex> face = {{at(i, j), uv(i, j)}, {at(i, j + 1), uv(i, j + 1)}};
@@ -198,7 +215,9 @@ void MeshBuilder::height_field(const Material& material, const Vector2& low, con
     for (int i = 0; i <= columns; ++i) {
       const double x = low.x() + (high.x() - low.x()) * i / columns, y = low.y() + (high.y() - low.y()) * j / rows;
       mesh.vertices.push_back((world_from_local_ * Vector3(x, y, height(x, y))).cast<float>());
-      if (!mesh.texture.empty()) mesh.texture_coordinates.push_back(tiles_of(material, {x, -y}).cast<float>());
+      // Bent a little, elsewhere in another way: the texture does not repeat exactly.
+      const Vector2 bent(x + 0.5 * std::sin(0.21 * y + 1), -y + 0.5 * std::sin(0.17 * x));
+      if (!mesh.texture.empty()) mesh.texture_coordinates.push_back(tiles_of(material, bent).cast<float>());
     }
   }
   for (int j = 0; j < rows; ++j) {

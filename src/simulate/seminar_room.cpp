@@ -9,12 +9,21 @@ Scene seminar_room(uint32_t seed) {
   Scene scene{.name = "seminar-room"};
   MeshBuilder b;
   const Materials m(s);
-  const Material wall = with_texture("plaster", plaster(s + 20, {190, 206, 210}, 0.07), false);
-  const Material side_wall = with_texture("side plaster", plaster(s + 21, {172, 198, 206}, 0.075), false);
-  const Material brick_wall = with_texture("brick", brick(s + 22, {96, 124, 176}), false);
-  const Material ceiling =
-      with_texture("ceiling", tiles(s + 23, {220, 224, 226}, {214, 220, 224}, 0.6, 1024, 4), false);
-  const Material floor = with_texture("carpet", carpet(s + 24, {110, 96, 84}, {140, 128, 120}), false);
+  const Material wall = covering("plaster", s + 20, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {190, 206, 210}, 0.07, extent);
+  });
+  const Material side_wall = covering("side plaster", s + 21, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {172, 198, 206}, 0.075, extent);
+  });
+  const Material brick_wall = covering("brick", s + 22, [](uint32_t seed, const Extent& extent) {
+    return brick(seed, {96, 124, 176}, extent);
+  });
+  const Material ceiling = covering("ceiling", s + 23, [](uint32_t seed, const Extent& extent) {
+    return tiles(seed, {220, 224, 226}, {214, 220, 224}, 0.6, 256, extent);
+  });
+  const Material floor = covering("carpet", s + 24, [](uint32_t seed, const Extent& extent) {
+    return carpet(seed, {110, 96, 84}, {140, 128, 120}, extent);
+  });
   const Room room{.name = "seminar room",
                   .x0 = -4,
                   .y0 = -3,

@@ -54,12 +54,27 @@ cv::Vec3f random_colour(Random& random, double low, double high) {
   return {float(level - warm), float(level + green), float(level + warm)};
 }
 
-int pixels_for(double metres, double texel) { return std::max(16, static_cast<int>(metres / texel)); }
+constexpr double kTexel = 0.0025;  // [m] of surfaces
+
+// random_unit of 0, 1, … count - 1 (times `rows`).
+std::vector<float> random_units(uint32_t seed, int count, int rows = 0) {
+  std::vector<float> units;
+  for (int b = 0; b < std::max(1, rows); ++b) {
+    for (int a = 0; a < count; ++a) units.push_back(random_unit(seed, a, b));
+  }
+  return units;
+}
+
+int pixels_for(double metres, double texel) { return std::max(16, static_cast<int>(metres / texel + 1e-6)); }
+
+// How many pieces cover a length.
+int whole(double metres, double piece) { return std::max(1, static_cast<int>(std::ceil(metres / piece - 1e-6))); }
 
 // Rows of blocks (bricks, planks, paving): which block a pixel lies in and how far it is from the block's border [px].
 struct Block {
   int index, row;
-  float border;
+  float along;   // [px] from its left end
+  float border;  // [px] distance to it
 };
 struct Blocks {
   int width, height, columns, rows;  // [px], blocks a row, rows
@@ -71,7 +86,7 @@ struct Blocks {
     u -= columns * std::floor(u / columns);
     const int column = std::min(static_cast<int>(u), columns - 1);
     const float along = (u - column) * block_width, down = y - row * block_height;
-    return {row * columns + column, row,
+    return {row * columns + column, row, along,
             std::min({along, block_width - along, down + 0.5f, block_height - down - 0.5f})};
   }
 };
@@ -167,29 +182,33 @@ std::vector<Octave> octaves(int width, int height, int coarsest, int finest, flo
   return result;
 }
 
-Texture plaster(uint32_t seed, const cv::Vec3b& colour, double contrast, int pixels, double metres) {
-  const cv::Mat1f noise = fractal_noise(pixels, pixels, octaves(pixels, pixels, pixels / 8, 2, 1.04f), seed);
+Texture plaster(uint32_t seed, const cv::Vec3b& colour, double contrast, const Extent& extent) {
+  const int w = pixels_for(extent.width, kTexel), h = pixels_for(extent.height, kTexel);
+  const cv::Mat1f noise = fractal_noise(w, h, octaves(w, h, std::min({w / 8, h / 8, 128}), 2, 1.04f), seed);
   const Vec3f base = colour_of(colour);
   const float amplitude = static_cast<float>(contrast);
-  return {paint(pixels, pixels, [&](int x, int y) { return base * (1 + amplitude * noise(y, x)); }), metres, metres};
+  return {paint(w, h, [&](int x, int y) { return base * (1 + amplitude * noise(y, x)); }), w * kTexel, h * kTexel};
 }
 
-Texture wallpaper(uint32_t seed, const cv::Vec3b& ground, const cv::Vec3b& pattern, int pixels, double metres) {
-  const cv::Mat1f noise = fractal_noise(pixels, pixels, octaves(pixels, pixels, pixels / 8, 2, 1), seed);
+Texture wallpaper(uint32_t seed, const cv::Vec3b& ground, const cv::Vec3b& pattern, const Extent& extent) {
+  constexpr double kCell = 2.56 / 12;  // [m] a blossom each, at its own place in its cell
+  const int columns = whole(extent.width, kCell), rows = whole(extent.height, kCell);
+  const int w = pixels_for(columns * kCell, kTexel), h = pixels_for(rows * kCell, kTexel);
+  const cv::Mat1f noise = fractal_noise(w, h, octaves(w, h, 128, 2, 1), seed);
   const Vec3f base = colour_of(ground), ink = colour_of(pattern);
-  constexpr int kCells = 12;  // blossoms a side, each at its own place in its cell
-  const float cell = float(pixels) / kCells;
-  return {paint(pixels, pixels,
+  const float cell = static_cast<float>(kCell / kTexel);
+  const std::vector<float> right = random_units(seed + 1, columns, rows), down = random_units(seed + 2, columns, rows),
+                           large = random_units(seed + 3, columns, rows);
+  return {paint(w, h,
                 [&](int x, int y) {
                   float covered = 0;
                   for (int j = -1; j <= 1; ++j) {
                     for (int i = -1; i <= 1; ++i) {
                       const int cx = static_cast<int>(x / cell) + i, cy = static_cast<int>(y / cell) + j;
-                      const int wx = (cx + kCells) % kCells, wy = (cy + kCells) % kCells;
-                      const float px = (cx + 0.2f + 0.6f * random_unit(seed + 1, wx, wy)) * cell,
-                                  py = (cy + 0.2f + 0.6f * random_unit(seed + 2, wx, wy)) * cell;
+                      const size_t k = static_cast<size_t>((cy + rows) % rows * columns + (cx + columns) % columns);
+                      const float px = (cx + 0.2f + 0.6f * right[k]) * cell, py = (cy + 0.2f + 0.6f * down[k]) * cell;
                       const float dx = (x - px) / cell, dy = (y - py) / cell;
-                      const float size = 0.16f + 0.16f * random_unit(seed + 3, wx, wy);
+                      const float size = 0.16f + 0.16f * large[k];
                       // Five petals: the radius varies with the direction.
                       const float stalk = dy > 0 && dy < 0.6f ? 0.6f * bump(dx - 0.2f * dy * dy, 0.03f) : 0;
                       covered = std::max(covered, stalk);
@@ -202,7 +221,7 @@ Texture wallpaper(uint32_t seed, const cv::Vec3b& ground, const cv::Vec3b& patte
                   }
                   return mix(base, ink, covered) * (1 + 0.055f * noise(y, x));
                 }),
-          metres, metres};
+          columns * kCell, rows * kCell};
 }
 
 Texture stripes(const cv::Vec3b& light, const cv::Vec3b& dark, double period) {
@@ -234,66 +253,84 @@ Texture exact_tiles(uint32_t seed, const cv::Vec3b& colour, double edge) {
           edge, edge};
 }
 
-Texture tiles(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other, double edge, int pixels, int count) {
-  const cv::Mat1f noise = fractal_noise(pixels, pixels, octaves(pixels, pixels, pixels / count / 2, 4, 0.9f), seed);
-  const Blocks blocks{pixels, pixels, count, count, 0};
+Texture tiles(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other, double edge, int pixels,
+              const Extent& extent) {
+  // Two of them make one turn of the chequered pattern.
+  const int columns = 2 * whole(extent.width, 2 * edge), rows = 2 * whole(extent.height, 2 * edge);
+  const int w = columns * pixels, h = rows * pixels;
+  const cv::Mat1f noise = fractal_noise(w, h, octaves(w, h, pixels / 2, 4, 0.9f), seed);
+  const Blocks blocks{w, h, columns, rows, 0};
+  const std::vector<float> tones = random_units(seed + 7, columns * rows);
   const Vec3f a = colour_of(colour), b = colour_of(other), grout = mix(a, Vec3f(90, 95, 100), 0.7f);
-  return {paint(pixels, pixels,
+  return {paint(w, h,
                 [&](int x, int y) {
                   const Block block = blocks.at(x, y);
-                  const bool second = (block.index / count + block.index % count) % 2;
-                  const float tone = 1 + 0.16f * (random_unit(seed + 7, block.index) - 0.5f);
+                  const bool second = (block.index / columns + block.index % columns) % 2;
+                  const float tone = 1 + 0.16f * (tones[static_cast<size_t>(block.index)] - 0.5f);
                   const Vec3f tile = (second ? b : a) * (tone * (1 + 0.08f * noise(y, x)));
                   return mix(grout * (1 + 0.05f * noise(y, x)), tile, step(1, 2.5f, block.border));
                 }),
-          edge * count, edge * count};
+          edge * columns, edge * rows};
 }
 
-Texture brick(uint32_t seed, const cv::Vec3b& colour, int pixels) {
-  const cv::Mat1f noise = fractal_noise(pixels, pixels, octaves(pixels, pixels, pixels / 16, 4, 0.95f), seed);
-  // 10 x 30 bricks of 0.25 x 0.0833 m, with joints of 1 cm.
-  const Blocks blocks{pixels, pixels, 10, 30, 0.5f};
-  const float joint = 0.005f / 2.5f * pixels;
+Texture brick(uint32_t seed, const cv::Vec3b& colour, const Extent& extent) {
+  // Bricks of 0.25 x 0.0833 m, with joints of 1 cm; every second row is shifted by half a brick.
+  constexpr double kLong = 0.25, kHigh = 0.25 / 3;
+  const int columns = whole(extent.width, kLong), rows = 2 * whole(extent.height, 2 * kHigh);
+  const int w = pixels_for(columns * kLong, kTexel), h = pixels_for(rows * kHigh, kTexel);
+  const cv::Mat1f noise = fractal_noise(w, h, octaves(w, h, 64, 4, 0.95f), seed);
+  const Blocks blocks{w, h, columns, rows, 0.5f};
+  const std::vector<float> tones = random_units(seed + 5, columns * rows),
+                           warms = random_units(seed + 6, columns * rows);
+  const float joint = static_cast<float>(0.005 / kTexel);
   const Vec3f base = colour_of(colour), mortar(165, 172, 176);
-  return {paint(pixels, pixels,
+  return {paint(w, h,
                 [&](int x, int y) {
                   const Block block = blocks.at(x, y);
-                  const float tone = 0.75f + 0.5f * random_unit(seed + 5, block.index);
-                  const float warm = 12 * (random_unit(seed + 6, block.index) - 0.5f);
+                  const float tone = 0.75f + 0.5f * tones[static_cast<size_t>(block.index)];
+                  const float warm = 12 * (warms[static_cast<size_t>(block.index)] - 0.5f);
                   const Vec3f face = base * (tone * (1 + 0.09f * noise(y, x))) + Vec3f(-warm, 0, warm);
                   const float edge = block.border + 0.6f * noise(y, x);
                   return mix(mortar * (1 + 0.05f * noise(y, x)), face, step(joint - 1, joint + 1, edge));
                 }),
-          2.5, 2.5};
+          columns * kLong, rows * kHigh};
 }
 
-Texture parquet(uint32_t seed, const cv::Vec3b& colour, int pixels) {
-  // Planks of 0.6 x 0.12 m on 2.4 x 2.4 m.
+Texture parquet(uint32_t seed, const cv::Vec3b& colour, const Extent& extent) {
+  constexpr double kLong = 0.6, kWide = 0.12;  // [m] a plank
+  const int columns = whole(extent.width, kLong), rows = whole(extent.height, kWide);
+  const int w = pixels_for(columns * kLong, kTexel), h = pixels_for(rows * kWide, kTexel);
+  constexpr int kGrain = 1024;  // [px] each plank is cut from another place of it
   const cv::Mat1f grain = fractal_noise(
-      pixels, pixels,
-      {{4, 64, 0.7f}, {8, pixels / 8, 0.8f}, {16, pixels / 4, 0.8f}, {64, pixels / 2, 0.6f}, {48, 96, 0.5f}}, seed);
-  const Blocks blocks{pixels, pixels, 4, 20, 0.37f};
+      kGrain, kGrain,
+      {{4, 64, 0.7f}, {8, kGrain / 8, 0.8f}, {16, kGrain / 4, 0.8f}, {64, kGrain / 2, 0.6f}, {48, 96, 0.5f}}, seed);
+  const Blocks blocks{w, h, columns, rows, std::round(0.37f * rows) / rows};
+  const std::vector<float> right = random_units(seed + 3, columns * rows),
+                           down = random_units(seed + 4, columns * rows),
+                           tones = random_units(seed + 5, columns * rows);
   const Vec3f base = colour_of(colour);
-  return {paint(pixels, pixels,
+  return {paint(w, h,
                 [&](int x, int y) {
                   const Block block = blocks.at(x, y);
-                  const int dx = static_cast<int>(random_unit(seed + 3, block.index) * pixels),
-                            dy = static_cast<int>(random_unit(seed + 4, block.index) * pixels);
-                  const float tone = 0.8f + 0.36f * random_unit(seed + 5, block.index);
-                  const float n = grain((y + dy) % pixels, (x + dx) % pixels);
+                  const size_t plank = static_cast<size_t>(block.index);
+                  const int dx = static_cast<int>(right[plank] * kGrain), dy = static_cast<int>(down[plank] * kGrain);
+                  const float tone = 0.8f + 0.36f * tones[plank];
+                  const float n = grain((y + dy) % kGrain, (static_cast<int>(block.along) + dx) % kGrain);
                   return base * (tone * (1 + 0.11f * n) * (0.45f + 0.55f * step(0, 1.8f, block.border)));
                 }),
-          2.4, 2.4};
+          columns * kLong, rows * kWide};
 }
 
-Texture wood(uint32_t seed, const cv::Vec3b& colour, int width, int height) {
+Texture wood(uint32_t seed, const cv::Vec3b& colour, const Extent& extent) {
+  const int width = pixels_for(extent.width, kTexel), height = pixels_for(extent.height, kTexel);
+  const int parts = std::max(1, width / 512);  // a grain is 0.02 m to 0.64 m long
   const cv::Mat1f grain = fractal_noise(width, height,
-                                        {{2, std::max(2, height / 32), 0.8f},
-                                         {4, height / 16, 0.8f},
-                                         {8, height / 8, 0.8f},
-                                         {24, height / 4, 0.8f},
-                                         {64, height / 3, 0.5f},
-                                         {64, 16, 0.4f}},
+                                        {{2 * parts, std::max(2, height / 32), 0.8f},
+                                         {4 * parts, height / 16, 0.8f},
+                                         {8 * parts, height / 8, 0.8f},
+                                         {24 * parts, height / 4, 0.8f},
+                                         {64 * parts, height / 3, 0.5f},
+                                         {64 * parts, std::max(2, height / 8), 0.4f}},
                                         seed);
   const Vec3f base = colour_of(colour);
   return {paint(width, height,
@@ -301,33 +338,35 @@ Texture wood(uint32_t seed, const cv::Vec3b& colour, int width, int height) {
                   const float n = grain(y, x), vein = bump(n - 1.1f, 0.35f);
                   return base * (1 + 0.12f * n - 0.18f * vein);
                 }),
-          width * 0.0025, height * 0.0025};
+          width * kTexel, height * kTexel};
 }
 
-Texture fabric(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other, int pixels) {
-  const cv::Mat1f noise = fractal_noise(pixels, pixels, octaves(pixels, pixels, pixels / 4, 2, 0.9f), seed);
+Texture fabric(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other) {
+  constexpr int kPixels = 512, kChecks = 2;  // checks a side
+  const cv::Mat1f noise = fractal_noise(kPixels, kPixels, octaves(kPixels, kPixels, 64, 2, 0.9f), seed);
   const Vec3f a = colour_of(colour), b = colour_of(other);
-  return {paint(pixels, pixels,
+  return {paint(kPixels, kPixels,
                 [&](int x, int y) {
-                  const float u = float(x) / pixels, v = float(y) / pixels;
+                  const float u = float(x * kChecks % kPixels) / kPixels, v = float(y * kChecks % kPixels) / kPixels;
                   // Stripes of uneven widths in both directions, as in a checked cloth.
                   const float across = step(0.55f, 0.6f, u) * (1 - step(0.8f, 0.85f, u)) + 0.7f * bump(u - 0.2f, 0.04f);
                   const float along =
                       step(0.5f, 0.55f, v) * (1 - step(0.72f, 0.77f, v)) + 0.7f * bump(v - 0.25f, 0.03f);
                   return mix(a, b, std::min(1.0f, 0.45f * (across + along))) * (1 + 0.1f * noise(y, x));
                 }),
-          pixels * 0.0025, pixels * 0.0025};
+          kPixels * kTexel, kPixels * kTexel};
 }
 
-Texture carpet(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other, int pixels) {
-  const cv::Mat1f noise = fractal_noise(pixels, pixels, octaves(pixels, pixels, pixels / 16, 2, 0.95f), seed);
-  const cv::Mat1f patches = fractal_noise(pixels, pixels, octaves(pixels, pixels, pixels / 8, 16, 0.9f), seed + 1);
+Texture carpet(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other, const Extent& extent) {
+  const int w = pixels_for(extent.width, kTexel), h = pixels_for(extent.height, kTexel);
+  const cv::Mat1f noise = fractal_noise(w, h, octaves(w, h, 64, 2, 0.95f), seed);
+  const cv::Mat1f patches = fractal_noise(w, h, octaves(w, h, 128, 16, 0.9f), seed + 1);
   const Vec3f a = colour_of(colour), b = colour_of(other);
-  return {paint(pixels, pixels,
+  return {paint(w, h,
                 [&](int x, int y) {
                   return mix(a, b, 0.8f * step(0.1f, 1.2f, patches(y, x))) * (1 + 0.12f * noise(y, x));
                 }),
-          2.56, 2.56};
+          w * kTexel, h * kTexel};
 }
 
 Texture granite(uint32_t seed, const cv::Vec3b& colour, int pixels) {
@@ -345,7 +384,7 @@ Texture grass(uint32_t seed, int pixels, double metres) {
   const cv::Mat1f fine =
       fractal_noise(pixels, pixels,
                     {{pixels / 3, pixels / 8, 1}, {pixels / 6, pixels / 12, 1}, {pixels / 8, pixels / 4, 0.8f}}, seed);
-  const cv::Mat1f coarse = fractal_noise(pixels, pixels, octaves(pixels, pixels, pixels / 4, 16, 0.9f), seed + 1);
+  const cv::Mat1f coarse = fractal_noise(pixels, pixels, octaves(pixels, pixels, 256, 16, 0.9f), seed + 1);
   return {paint(pixels, pixels,
                 [&](int x, int y) {
                   const Vec3f ground = mix(Vec3f(52, 118, 96), Vec3f(70, 140, 150), step(-1, 2, coarse(y, x)));

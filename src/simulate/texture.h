@@ -1,5 +1,5 @@
 // Made-up surfaces. Integer hashes and plain arithmetic alone: the same bytes for the same seed on every machine.
-// Every tile repeats without a seam, except pictures (which are shown once).
+// Every texture repeats without a seam, except pictures (which are shown once).
 #pragma once
 
 #include <cstdint>
@@ -11,6 +11,13 @@ namespace iris::simulate {
 struct Texture {
   cv::Mat3b image;               // BGR
   double width = 1, height = 1;  // [m] that the image covers
+};
+
+// [m] of a surface that is to be covered; whole tiles, bricks, … may cover a little more. The defaults are those of
+// things whose surfaces share one texture; what is larger should have a texture of its own, since what repeats is
+// mistaken for the same place.
+struct Extent {
+  double width = 2.56, height = 2.56;
 };
 
 uint32_t hash(uint32_t a, uint32_t b, uint32_t c = 0, uint32_t d = 0);
@@ -42,18 +49,19 @@ cv::Mat1f fractal_noise(int width, int height, const std::vector<Octave>& octave
 std::vector<Octave> octaves(int width, int height, int coarsest, int finest, float fall = 1);
 
 // Surfaces. `contrast`: standard deviation of the brightness relative to the colour.
-Texture plaster(uint32_t seed, const cv::Vec3b& colour, double contrast, int pixels = 1024, double metres = 2.56);
-Texture wallpaper(uint32_t seed, const cv::Vec3b& ground, const cv::Vec3b& pattern, int pixels = 1024,
-                  double metres = 2.56);                                        // scattered blossoms and stalks
+Texture plaster(uint32_t seed, const cv::Vec3b& colour, double contrast, const Extent& extent = {});
+Texture wallpaper(uint32_t seed, const cv::Vec3b& ground, const cv::Vec3b& pattern,
+                  const Extent& extent = {});                                   // scattered blossoms and stalks
 Texture stripes(const cv::Vec3b& light, const cv::Vec3b& dark, double period);  // exactly alike (thesis fig. 5.9)
 Texture exact_tiles(uint32_t seed, const cv::Vec3b& colour, double edge);       // one tile, exactly repeated
-Texture tiles(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other, double edge, int pixels = 1024,
-              int count = 8);  // each differs from the others
-Texture brick(uint32_t seed, const cv::Vec3b& colour, int pixels = 1024);
-Texture parquet(uint32_t seed, const cv::Vec3b& colour, int pixels = 1024);
-Texture wood(uint32_t seed, const cv::Vec3b& colour, int width = 512, int height = 128);  // grain along u
-Texture fabric(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other, int pixels = 256);
-Texture carpet(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other, int pixels = 1024);
+// Each differs from the others; `edge` [m] and `pixels` of one.
+Texture tiles(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other, double edge, int pixels,
+              const Extent& extent = {});
+Texture brick(uint32_t seed, const cv::Vec3b& colour, const Extent& extent = {});
+Texture parquet(uint32_t seed, const cv::Vec3b& colour, const Extent& extent = {});
+Texture wood(uint32_t seed, const cv::Vec3b& colour, const Extent& extent = {1.28, 1.28});  // grain along u
+Texture fabric(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other);             // checked
+Texture carpet(uint32_t seed, const cv::Vec3b& colour, const cv::Vec3b& other, const Extent& extent = {});
 Texture granite(uint32_t seed, const cv::Vec3b& colour, int pixels = 256);  // hard fine grains: worktop, gravel, leaves
 Texture grass(uint32_t seed, int pixels = 1024, double metres = 3);
 Texture paving(uint32_t seed, int pixels = 1024);

@@ -86,12 +86,18 @@ Scene yard(uint32_t seed) {
   Scene scene{.name = "yard"};
   MeshBuilder b;
   const Materials m(s);
-  const Material meadow = with_texture("grass", grass(s + 20), false);
+  const Material meadow = with_texture("grass", grass(s + 20, 3072, 9), false);
   const Material stones = with_texture("paving", paving(s + 21), false);
-  const Material house = with_texture("house brick", brick(s + 22, {86, 110, 170}), false);
-  const Material render = with_texture("render", plaster(s + 23, {190, 216, 226}, 0.08), false);
-  const Material roof = with_texture("roof", tiles(s + 24, {70, 82, 150}, {64, 74, 138}, 0.2, 768, 12), false);
-  const Material planks = with_texture("planks", parquet(s + 30, {88, 122, 158}, 768));
+  const Material house = covering("house brick", s + 22, [](uint32_t seed, const Extent& extent) {
+    return brick(seed, {86, 110, 170}, extent);
+  });
+  const Material render = covering("render", s + 23, [](uint32_t seed, const Extent& extent) {
+    return plaster(seed, {190, 216, 226}, 0.08, extent);
+  });
+  const Material roof = covering("roof", s + 24, [](uint32_t seed, const Extent& extent) {
+    return tiles(seed, {70, 82, 150}, {64, 74, 138}, 0.2, 64, extent);
+  });
+  const Material planks = with_texture("planks", parquet(s + 30, {88, 122, 158}));
   const Material trunk = with_texture("bark", bark(s + 25));
   const Material birch = with_texture("light leaves", granite(s + 26, {70, 150, 110}));
   const Material beech = with_texture("dark leaves", granite(s + 27, {48, 105, 62}));
@@ -128,7 +134,7 @@ Scene yard(uint32_t seed) {
   b.place(-8, 8, -0.2);
   std::vector<Opening> cut;
   for (Opening o : front.openings[north]) cut.push_back({o.from + 8, o.to + 8, o.bottom + 0.2, o.top + 0.2});
-  b.wall(house, 16, 4.64, cut, nullptr);
+  b.wall(b.surface(house, 16, 4.64), 16, 4.64, cut, nullptr);
   for (size_t i = 0; i < front.openings[north].size(); ++i) {
     const Opening& o = front.openings[north][i];
     if (i == 2) {
@@ -144,24 +150,25 @@ Scene yard(uint32_t seed) {
            with_texture("pane " + std::to_string(i), view_outside(s + 40 + static_cast<uint32_t>(i), 1.8, 1.4), true));
   }
   b.place(0, 0);
-  b.quad(roof, {-8.4, 10.5, 6.2}, {16.8, 0, 0}, {0, -3, -2.1});
-  b.quad(render, {-8, 13, 4.43}, {0, -5, 0}, {0, 0, -4.63});
-  b.quad(render, {8, 8, 4.43}, {0, 5, 0}, {0, 0, -4.63});
+  const double slope = std::hypot(3, 2.1);
+  b.quad(b.surface(roof, 16.8, slope), {-8.4, 10.5, 6.2}, {16.8, 0, 0}, {0, -3, -2.1});
+  b.quad(b.surface(render, 5, 4.63), {-8, 13, 4.43}, {0, -5, 0}, {0, 0, -4.63});
+  b.quad(b.surface(render, 5, 4.63), {8, 8, 4.43}, {0, 5, 0}, {0, 0, -4.63});
   // Gables below the roof.
   for (const double x : {-8.0, 8.0}) {
-    b.triangle(render, {x, 13, 4.43}, {x, 8, 4.43}, {x, 10.5, 6.18}, {0, 0}, {5, 0}, {2.5, -1.75});
+    b.triangle(b.surface(render, 5, 1.75), {x, 13, 4.43}, {x, 8, 4.43}, {x, 10.5, 6.18}, {0, 0}, {5, 0}, {2.5, -1.75});
   }
-  b.quad(roof, {8.4, 10.5, 6.2}, {-16.8, 0, 0}, {0, 3, -2.1});
+  b.quad(b.surface(roof, 16.8, slope), {8.4, 10.5, 6.2}, {-16.8, 0, 0}, {0, 3, -2.1});
 
   // A shed at the east side and a wall of render at the west.
   b.group("shed");
   b.place(9.6, 3.5, ground(9.6, 3.5) - 0.05, 0);
   b.box(planks, {-1.3, -1.6, 0}, {1.3, 1.6, 2.1});
   b.box(m.walnut, {-1.33, -0.45, 0.1}, {-1.29, 0.45, 1.95});
-  b.quad(roof, {1.6, 2.0, 2.12}, {0, -4.0, 0}, {-3.2, 0, 0.5});
+  b.quad(b.surface(roof, 4, 3.25), {1.6, 2.0, 2.12}, {0, -4.0, 0}, {-3.2, 0, 0.5});
   b.group("garden wall");
   b.place(-11.5, -3.0, -0.2, 90);
-  b.quad(render, {0, 0, 2.0}, {8, 0, 0}, {0, 0, -2.0});
+  b.quad(b.surface(render, 8, 2), {0, 0, 2.0}, {8, 0, 0}, {0, 0, -2.0});
   b.box(m.clay, {-0.05, -0.06, 2.001}, {8.05, 0.3, 2.08});
 
   b.group("hedges");

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <functional>
 #include <map>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
@@ -13,6 +14,7 @@
 
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "src/simulate/furniture.h"
 #include "src/simulate/mesh_builder.h"
 #include "src/simulate/scenes.h"
 
@@ -101,7 +103,7 @@ TEST_P(EveryScene, IsMadeOfSoundMeshes) {
     }
     EXPECT_EQ(used.size(), mesh.vertices.size());
   }
-  EXPECT_LT(bytes, 150e6);
+  EXPECT_LT(bytes, 320e6);  // each wall, floor and ceiling has a texture of its own: 480 kB a square metre
 }
 
 TEST_P(EveryScene, TexturedSurfacesHaveContrastAndOthersHaveNone) {
@@ -430,6 +432,56 @@ TriangleMesh cube(double edge) {
       mesh.triangles.push_back(t + Eigen::Vector3i::Constant(first));
   }
   return mesh;
+}
+
+// What repeats is taken for the same place: a wall, floor or ceiling shows its texture once and no other shows it.
+TEST(Scenes, NoTwoSurfacesOfARoomLookAlike) {
+  const std::vector<std::function<Texture(uint32_t, const Extent&)>> covers = {
+      [](uint32_t seed, const Extent& extent) {
+        return plaster(seed, {186, 212, 222}, 0.075, extent);
+      },
+      [](uint32_t seed, const Extent& extent) {
+        return wallpaper(seed, {196, 214, 218}, {128, 158, 142}, extent);
+      },
+      [](uint32_t seed, const Extent& extent) {
+        return brick(seed, {82, 108, 168}, extent);
+      },
+      [](uint32_t seed, const Extent& extent) {
+        return parquet(seed, {98, 142, 182}, extent);
+      },
+      [](uint32_t seed, const Extent& extent) {
+        return carpet(seed, {140, 120, 104}, {172, 158, 138}, extent);
+      }};
+  for (size_t n = 0; n < covers.size(); ++n) {
+    SCOPED_TRACE(n);
+    const Material material = covering("cover", 7, covers[n]);
+    MeshBuilder builder;
+    const Room room{.name = "room",
+                    .x0 = 0,
+                    .y0 = 0,
+                    .x1 = 4,
+                    .y1 = 3,
+                    .walls = {&material, &material, &material, &material},
+                    .floor = &material,
+                    .ceiling = &material};
+    room.build(builder);
+    const std::vector<SceneObject> objects = builder.take();
+    ASSERT_EQ(objects.size(), 6u);
+    for (size_t i = 0; i < objects.size(); ++i) {
+      const TriangleMesh& mesh = objects[i].mesh;
+      Eigen::Vector2f low = mesh.texture_coordinates.front(), high = low;
+      for (const Eigen::Vector2f& uv : mesh.texture_coordinates) low = low.cwiseMin(uv), high = high.cwiseMax(uv);
+      EXPECT_LE((high - low).maxCoeff(), 1 + 1e-5f) << mesh.name;
+      for (size_t k = 0; k < i; ++k) {
+        const cv::Mat3b& other = objects[k].mesh.texture;
+        const cv::Rect both(0, 0, std::min(mesh.texture.cols, other.cols), std::min(mesh.texture.rows, other.rows));
+        cv::Mat score;
+        cv::matchTemplate(mesh.texture(both), other(both), score, cv::TM_CCOEFF_NORMED);
+        // Bricks have their joints in common.
+        EXPECT_LT(score.at<float>(0, 0), 0.6f) << mesh.name << " and " << objects[k].mesh.name;
+      }
+    }
+  }
 }
 
 TEST(Scenes, ABoxIsClosedAndItsTrianglesAreSeenFromOutside) {

@@ -20,7 +20,7 @@ struct Sample {
 std::vector<Sample> surfaces() {
   return {{"plaster", plaster(1, {186, 212, 222}, 0.075), 9},
           {"wallpaper", wallpaper(2, {196, 214, 218}, {128, 158, 142}), 9},
-          {"tiles", tiles(3, {205, 212, 208}, {196, 176, 150}, 0.15), 9},
+          {"tiles", tiles(3, {205, 212, 208}, {196, 176, 150}, 0.15, 96), 9},
           {"brick", brick(4, {82, 108, 168}), 15},
           {"parquet", parquet(5, {98, 142, 182}), 10},
           {"wood", wood(6, {95, 145, 190}), 7},
@@ -128,7 +128,7 @@ TEST(Texture, TheBytesAreThoseOfOtherMachines) {
     }
     return h;
   };
-  EXPECT_EQ(sum(plaster(1, {186, 212, 222}, 0.075, 256, 0.64).image), 0x6AD611D07AD756B7u);
+  EXPECT_EQ(sum(plaster(1, {186, 212, 222}, 0.075, {0.64, 0.64}).image), 0x6AD611D07AD756B7u);
   EXPECT_EQ(sum(landscape(2, 0.5, 0.4).image), 0x89FED2713E53B34Fu);
 }
 

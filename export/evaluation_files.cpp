@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstring>
+#include <opencv2/imgcodecs.hpp>
 
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
@@ -126,12 +127,27 @@ cv::Mat1b read_mask(const fs::path& path, cv::Size expected, const std::string& 
 
 evaluate::GridMap read_map(const fs::path& path, bool plan) {
   require_file(path);
-  const evaluate::RosMapHeader header = evaluate::parse_ros_map(read_file(path), path);
+  evaluate::RosMapHeader header = evaluate::parse_ros_map(read_file(path), path);
   const fs::path image_path = path.parent_path() / header.image;
   require_file(image_path);
-  const cv::Mat image = session::read_image(image_path);
+  cv::Mat image = cv::imread(image_path.string(), cv::IMREAD_UNCHANGED);
+  if (image.type() == CV_8UC4) {
+    // Scale mode: what is transparent is unknown, what is not occupied is more or less free.
+    const double occupied = header.occupied_thresh;
+    cv::Mat1b trinary(image.size());
+    for (int y = 0; y < image.rows; ++y) {
+      for (int x = 0; x < image.cols; ++x) {
+        const cv::Vec4b& pixel = image.at<cv::Vec4b>(y, x);
+        const double shade = (pixel[0] + pixel[1] + pixel[2]) / (3 * 255.0);
+        trinary(y, x) = pixel[3] < 255 ? 205 : (header.negate ? shade : 1 - shade) > occupied ? 0 : 254;
+      }
+    }
+    header.negate = false, header.occupied_thresh = 0.65, header.free_thresh = 0.196;
+    return evaluate::grid_map(trinary, header, plan);
+  }
+  image = session::read_image(image_path);
   if (image.channels() != 1 || image.depth() != CV_8U) {
-    throw InputError(image_path, "is no 8-bit grey image", "give a map in ROS's trinary mode");
+    throw InputError(image_path, "is no 8-bit grey image", "give a map in ROS's trinary or scale mode");
   }
   return evaluate::grid_map(image, header, plan);
 }

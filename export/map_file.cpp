@@ -4,7 +4,11 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
+#include <cstddef>
+#include <memory>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "export/map_drawing.h"
@@ -27,12 +31,60 @@ std::string pgm_of(const MapRaster& raster) {
   return text;
 }
 
-// Nav2 compares strictly: 205 gives an occupancy of 0.19608, which must not fall below free_thresh.
-std::string yaml_of(const MapRaster& raster) {
-  return fmt::format(
-      "image: map.pgm\nmode: trinary\nresolution: {}\norigin: [{}, {}, 0]\nnegate: 0\noccupied_thresh: 0.65\n"
-      "free_thresh: 0.196\n",
-      raster.cell, raster.origin_x, raster.origin_y);
+constexpr double kOccupiedThreshold = 0.65;
+
+// Grey levels between the thresholds become 0 to 100 in scale mode, those above the upper one 100. ROS 1 asks for
+// transparency only between the thresholds: unknown cells get a grey that lies there.
+std::vector<unsigned char> scale_png_of(const MapRaster& raster) {
+  cv::Mat4b pixels(raster.height, raster.width, cv::Vec4b(205, 205, 205, 0));
+  for (int y = 0; y < raster.height; ++y) {
+    for (int x = 0; x < raster.width; ++x) {
+      const auto state = static_cast<MapState>(raster.state(y, x));
+      if (state == MapState::unknown) continue;
+      const double shade = 255 * (1 - static_cast<double>(raster.U(y, x)));
+      // 89 and 90 lie on either side of the threshold.
+      const double grey = state == MapState::occupied ? std::min(shade, 89.0) : std::max(shade, 90.0);
+      const auto level = cv::saturate_cast<uint8_t>(grey);
+      pixels(y, x) = cv::Vec4b(level, level, level, 255);
+    }
+  }
+  return workspace::encode_png(pixels);
+}
+
+// Nav2 compares strictly. Trinary: 205 gives an occupancy of 0.19608, which must not fall below free_thresh. Scale:
+// nothing but white is below it, so that grey levels are kept.
+std::string yaml_of(const MapRaster& raster, const std::string& image, const std::string& mode) {
+  const bool scale = mode == "scale";
+  std::string text = fmt::format(
+      "image: {}\nmode: {}\nresolution: {}\norigin: [{}, {}, 0]\nnegate: 0\noccupied_thresh: {}\nfree_thresh: {}\n",
+      image, mode, raster.cell, raster.origin_x, raster.origin_y, kOccupiedThreshold, scale ? 0.002 : 0.196);
+  if (!raster.layer_bounds.empty()) {
+    text += fmt::format("# what stands between z = {:g} m and {:g} m of the world\n", raster.layer_bounds.front(),
+                        raster.layer_bounds.back());
+  }
+  return text;
+}
+
+// NAME.yaml and what it refers to.
+void write_ros_map(const std::filesystem::path& folder, const std::string& name, const MapRaster& raster,
+                   const std::string& mode) {
+  const std::string image = name + (mode == "scale" ? "_scale.png" : ".pgm");
+  if (mode == "scale") {
+    write_file(folder / image, scale_png_of(raster));
+  } else {
+    write_file(folder / image, pgm_of(raster));
+  }
+  write_file(folder / (name + ".yaml"), yaml_of(raster, image, mode));
+}
+
+void remove_old(const std::filesystem::path& folder) {
+  std::error_code ignored;
+  std::vector<std::filesystem::path> old;
+  for (const auto& entry : std::filesystem::directory_iterator(folder, ignored)) {
+    const std::string name = entry.path().filename().string();
+    if (name.starts_with("map_layer") || name == "map_scale.png") old.push_back(entry.path());
+  }
+  for (const auto& path : old) std::filesystem::remove(path, ignored);
 }
 
 std::string world_file_of(const MapRaster& raster) {
@@ -67,11 +119,65 @@ void write_picture(const std::filesystem::path& path, const MapRaster& raster, c
 
 }  // namespace
 
-void write_map(const std::filesystem::path& folder, const MapRaster& raster, const PoseGraph& graph, int submap) {
+void MapFileOptions::declare(OptionSet& set) {
+  set.section("map");
+  set.add("mode", mode, {"trinary", "scale"},
+          "map.yaml for ROS/Nav2: trinary = free, occupied or unknown; scale = free cells keep how unsafe they are, as "
+          "values from 0 to 77 below 100 = occupied");
+  set.add("layers", layers, "a map for each layer of heights too: map_layer0.yaml is the lowest, see mapping.layers");
+}
+
+MapRaster layer_raster(const FlogMap& map, const mapping::FlogOptions& options, int layer, const MapRaster& whole) {
+  IRIS_CHECK(layer >= 0 && layer < map.layers());
+  const auto k = static_cast<size_t>(layer);
+  constexpr size_t kCells = FlogMap::kTileCells * FlogMap::kTileCells;
+  FlogMap single{.cell_size = map.cell_size,
+                 .layer_bounds = {map.layer_bounds[k], map.layer_bounds[k + 1]},
+                 .full_rays = map.full_rays,
+                 .tile_x0 = map.tile_x0,
+                 .tile_y0 = map.tile_y0,
+                 .tiles_x = map.tiles_x,
+                 .tiles_y = map.tiles_y,
+                 .tiles = {}};
+  for (const auto& tile : map.tiles) {
+    single.tiles.push_back(nullptr);
+    if (!tile) continue;
+    const auto begin = tile->cells.begin() + static_cast<std::ptrdiff_t>(k * kCells);
+    single.tiles.back() = std::make_unique<FlogMap::Tile>(FlogMap::Tile{.cells = {begin, begin + kCells}});
+  }
+  MapRaster raster = mapping::rasterise(single, options);
+  // Into the rectangle of the whole map, which contains that of each layer; a layer that no ray crossed has one cell
+  // somewhere.
+  const cv::Rect place(
+      static_cast<int>(std::lround((raster.origin_x - whole.origin_x) / whole.cell)),
+      static_cast<int>(std::lround((whole.origin_y - raster.origin_y) / whole.cell)) + whole.height - raster.height,
+      raster.width, raster.height);
+  const cv::Rect inside = place & cv::Rect(0, 0, whole.width, whole.height);
+  const auto into_whole = [&](auto& picture) {
+    std::remove_reference_t<decltype(picture)> result(whole.height, whole.width);
+    result.setTo(0);
+    if (!inside.empty()) picture(inside - place.tl()).copyTo(result(inside));
+    picture = result;
+  };
+  for (cv::Mat1f* picture : {&raster.M, &raster.U, &raster.layer_M.front(), &raster.layer_U.front()}) {
+    into_whole(*picture);
+  }
+  for (cv::Mat1b* picture : {&raster.known, &raster.state}) into_whole(*picture);
+  raster.origin_x = whole.origin_x, raster.origin_y = whole.origin_y;
+  raster.width = whole.width, raster.height = whole.height;
+  return raster;
+}
+
+void write_map(const std::filesystem::path& folder, const MapRaster& raster, const std::vector<MapRaster>& layers,
+               const PoseGraph& graph, int submap, const MapFileOptions& options) {
   IRIS_CHECK(raster.width > 0 && raster.height > 0 && raster.cell > 0);
+  remove_old(folder);
   const cv::Mat3b grey = grey_cells(raster);
-  write_file(folder / "map.pgm", pgm_of(raster));
-  write_file(folder / "map.yaml", yaml_of(raster));
+  if (options.mode != "trinary") write_file(folder / "map.pgm", pgm_of(raster));
+  write_ros_map(folder, "map", raster, options.mode);
+  for (size_t k = 0; k < layers.size(); ++k) {
+    write_ros_map(folder, fmt::format("map_layer{}", k), layers[k], options.mode);
+  }
   write_file(folder / "map.pgw", world_file_of(raster));
   write_file(folder / "map.png", workspace::encode_png(grey));
   write_picture(folder / "map_picture.png", raster, grey, graph, submap, grey_legend());

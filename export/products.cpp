@@ -8,7 +8,6 @@
 #include <filesystem>
 #include <opencv2/imgcodecs.hpp>
 
-#include "export/map_file.h"
 #include "export/trajectory_file.h"
 #include "export/video_file.h"
 #include "iris/core/atomic_file.h"
@@ -121,7 +120,11 @@ Files write_maps(const Workspace& workspace, const RunOptions& options, const Ru
   const fs::path folder = workspace.folder() / "map";
   const mapping::MapRaster raster = mapping::rasterise(builder.map(), mapping);
   const PoseGraph graph = workspace.pose_graph(Poses::refined);
-  write_map(folder, raster, graph, first.submap);
+  std::vector<mapping::MapRaster> layers;
+  for (int k = 0; options.map.layers && k < builder.map().layers(); ++k) {
+    layers.push_back(layer_raster(builder.map(), mapping, k, raster));
+  }
+  write_map(folder, raster, layers, graph, first.submap, options.map);
   write_sheet(folder, raster, graph, first.submap, facts_of(workspace, raster, first.camera, graph, first.submap),
               options.sheet);
   return files_in(workspace.folder(), "map");
@@ -185,7 +188,7 @@ std::vector<Stage> product_stages(const RunOptions& options) {
             .inputs = {},
             .run = [](Workspace& w, const RunControl&, const std::string&) { return write_trajectory(w); }},
       Stage{.name = "map",
-            .sections = {"mapping", "sheet"},
+            .sections = {"mapping", "map", "sheet"},
             .after = {"loop"},
             .inputs = {},
             .run = [&options](Workspace& w, const RunControl& control,

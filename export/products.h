@@ -3,6 +3,7 @@
 
 #include <vector>
 
+#include "export/map_file.h"
 #include "export/octree_file.h"
 #include "export/scene_file.h"
 #include "export/sheet_file.h"
@@ -14,12 +15,14 @@ namespace iris::exporters {
 // The options of a whole run.
 struct RunOptions {
   pipeline::Options library;
+  MapFileOptions map;
   OctreeOptions octree;
   SceneOptions scene;
   SheetOptions sheet;
 
   void declare(OptionSet& set) {
     library.declare(set);
+    map.declare(set);
     octree.declare(set);
     scene.declare(set);
     sheet.declare(set);

@@ -12,7 +12,7 @@ namespace iris::app {
 namespace {
 
 struct Export {
-  explicit Export(CLI::App& command) : arguments(command, {"mapping", "sheet", "octree", "scene"}) {}
+  explicit Export(CLI::App& command) : arguments(command, {"mapping", "map", "sheet", "octree", "scene"}) {}
   std::string out;
   std::vector<std::string> only;
   Arguments arguments;

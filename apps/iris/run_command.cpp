@@ -19,8 +19,8 @@ namespace {
 
 struct Run {
   explicit Run(CLI::App& command)
-      : arguments(command, {"session", "stereo", "motion", "views", "loop", "mapping", "sheet", "octree", "scene",
-                            "render", "tour"}) {}
+      : arguments(command, {"session", "stereo", "motion", "views", "loop", "mapping", "map", "sheet", "octree",
+                            "scene", "render", "tour"}) {}
   std::string session, out;
   bool debug_motion = false;
   Arguments arguments;

@@ -1,7 +1,9 @@
 #include "export/map_file.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <fstream>
 #include <map>
@@ -10,6 +12,7 @@
 
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
+#include "support/box_room.h"
 
 namespace iris::exporters {
 namespace {
@@ -56,53 +59,154 @@ class MapFileTest : public ::testing::Test {
   PoseGraph graph_;
 };
 
-// What nav2_map_server's loader does in trinary mode, with its comparisons and types.
-std::vector<int> load_like_nav2(const fs::path& yaml, double& resolution, double& x, double& y) {
+struct Nav2Map {
+  std::string mode;
+  double resolution = 0, x = 0, y = 0;
+  cv::Mat1i cells;  // row 0 = largest y, as in the picture
+};
+
+// What nav2_map_server's loader does, with its comparisons and types; `ros1`: what map_server of ROS 1 does instead.
+Nav2Map load_like_nav2(const fs::path& yaml, bool ros1 = false) {
   std::map<std::string, std::string> keys;
   std::ifstream file(yaml);
   for (std::string line; std::getline(file, line);) {
     const size_t colon = line.find(": ");
-    keys[line.substr(0, colon)] = line.substr(colon + 2);
+    if (!line.starts_with("#")) keys[line.substr(0, colon)] = line.substr(colon + 2);
   }
-  EXPECT_EQ(keys.at("mode"), "trinary");
-  resolution = std::stod(keys.at("resolution"));
+  Nav2Map map{.mode = keys.at("mode"), .resolution = std::stod(keys.at("resolution")), .cells = {}};
   double yaw = 1;
-  EXPECT_EQ(std::sscanf(keys.at("origin").c_str(), "[%lf, %lf, %lf]", &x, &y, &yaw), 3);
+  EXPECT_EQ(std::sscanf(keys.at("origin").c_str(), "[%lf, %lf, %lf]", &map.x, &map.y, &yaw), 3);
   EXPECT_EQ(yaw, 0);
   const double occupied = std::stod(keys.at("occupied_thresh")), free = std::stod(keys.at("free_thresh"));
   const bool negate = keys.at("negate") != "0";
   const cv::Mat image = cv::imread((yaml.parent_path() / keys.at("image")).string(), cv::IMREAD_UNCHANGED);
-  EXPECT_EQ(image.type(), CV_8UC1);
-  std::vector<int> cells(image.total());  // row 0 of the grid = smallest y
+  EXPECT_EQ(image.type(), map.mode == "scale" ? CV_8UC4 : CV_8UC1);
+  map.cells.create(image.rows, image.cols);
   for (int row = 0; row < image.rows; ++row) {
     for (int column = 0; column < image.cols; ++column) {
-      const double shade = image.at<uint8_t>(row, column) / 255.0;
+      const uint8_t* pixel = image.ptr(row, column);
+      const bool opaque = image.channels() < 4 || pixel[3] == 255;
+      const double shade = image.channels() < 4 ? pixel[0] / 255.0 : (pixel[0] + pixel[1] + pixel[2]) / 3.0 / 255.0;
       const double occupancy = negate ? shade : 1.0 - shade;
-      const int value = occupied < occupancy ? 100 : occupancy < free ? 0 : -1;
-      cells[static_cast<size_t>((image.rows - row - 1) * image.cols + column)] = value;
+      int value = occupied < occupancy ? 100 : occupancy < free ? 0 : -1;
+      if (map.mode == "scale" && ros1) {
+        if (value < 0 && opaque) value = static_cast<int>(1 + 98 * (occupancy - free) / (occupied - free));
+      } else if (map.mode == "scale") {
+        if (!opaque)
+          value = -1;
+        else if (value < 0)
+          value = static_cast<int>(std::rint((occupancy - free) / (occupied - free) * 100));
+      }
+      map.cells(row, column) = value;
     }
   }
-  return cells;
+  return map;
+}
+
+void expect_the_same_states(const cv::Mat1i& cells, const MapRaster& raster) {
+  ASSERT_EQ(cells.size(), raster.state.size());
+  for (int row = 0; row < cells.rows; ++row) {
+    for (int column = 0; column < cells.cols; ++column) {
+      const int value = cells(row, column);
+      const MapState state = value < 0 ? MapState::unknown : value == 100 ? MapState::occupied : MapState::free;
+      EXPECT_EQ(static_cast<uint8_t>(state), raster.state(row, column)) << value << " at " << row << ", " << column;
+    }
+  }
 }
 
 TEST_F(MapFileTest, Nav2ReloadsOccupiedFreeAndUnknownAsTheyWere) {
-  write_map(folder_, raster_, graph_);
-  double resolution = 0, x = 0, y = 0;
-  const std::vector<int> cells = load_like_nav2(folder_ / "map.yaml", resolution, x, y);
-  EXPECT_EQ(resolution, raster_.cell);
-  EXPECT_EQ(x, raster_.origin_x);  // bit for bit
-  EXPECT_EQ(y, raster_.origin_y);
-  ASSERT_EQ(cells.size(), 35u);
-  for (int row = 0; row < 5; ++row) {
-    for (int column = 0; column < 7; ++column) {
-      const int expected = std::array{-1, 0, 100}.at(raster_.state(row, column));
-      EXPECT_EQ(cells[static_cast<size_t>((4 - row) * 7 + column)], expected);
+  write_map(folder_, raster_, {}, graph_, 0, {});
+  const Nav2Map map = load_like_nav2(folder_ / "map.yaml");
+  EXPECT_EQ(map.mode, "trinary");
+  EXPECT_EQ(map.resolution, raster_.cell);
+  EXPECT_EQ(map.x, raster_.origin_x);  // bit for bit
+  EXPECT_EQ(map.y, raster_.origin_y);
+  expect_the_same_states(map.cells, raster_);
+  EXPECT_TRUE(std::all_of(map.cells.begin(), map.cells.end(), [](int v) { return v == -1 || v == 0 || v == 100; }));
+  // Unknown is the shade that cost maps know as such.
+  const cv::Mat1b image = cv::imread((folder_ / "map.pgm").string(), cv::IMREAD_UNCHANGED);
+  cv::Mat1b unknown = raster_.state == static_cast<uint8_t>(MapState::unknown);
+  EXPECT_EQ(cv::countNonZero((image == 205) != unknown), 0);
+}
+
+TEST_F(MapFileTest, ScaleModeKeepsTheStatesAndTellsHowUnsafeFreeCellsAre) {
+  // All that memberships allow: free cells are less than half unsafe, occupied ones at least by 0.35.
+  for (int y = 0; y < 5; ++y) {
+    for (int x = 0; x < 7; ++x) {
+      const float part = static_cast<float>(7 * y + x) / 34;
+      if (raster_.state(y, x) == 1) raster_.U(y, x) = 0.5f * part;
+      if (raster_.state(y, x) == 2) raster_.U(y, x) = 0.35f + 0.65f * part;
     }
   }
+  write_map(folder_, raster_, {}, graph_, 0, {.mode = "scale"});
+  const Nav2Map map = load_like_nav2(folder_ / "map.yaml");
+  EXPECT_EQ(map.mode, "scale");
+  expect_the_same_states(map.cells, raster_);
+  expect_the_same_states(load_like_nav2(folder_ / "map.yaml", true).cells, raster_);
+  for (int y = 0; y < 5; ++y) {
+    for (int x = 0; x < 7; ++x) {
+      if (raster_.state(y, x) != 1) continue;
+      // Linear up to the threshold of 0.65; half a grey level is 0.3, rounding 0.5, white's threshold 0.2.
+      EXPECT_NEAR(map.cells(y, x), raster_.U(y, x) / 0.65 * 100, 1.0);
+    }
+  }
+  // Back to the other mode: nothing is left of it.
+  write_map(folder_, raster_, {}, graph_, 0, {});
+  EXPECT_FALSE(fs::exists(folder_ / "map_scale.png"));
+  expect_the_same_states(load_like_nav2(folder_ / "map.yaml").cells, raster_);
+}
+
+// A map of a room with a table: of each layer alone, the same cells as a map that has that layer only.
+TEST_F(MapFileTest, LayersAreMapsOfTheirOwnInTheSamePlace) {
+  const RectifiedCamera camera{.f = 100, .cx = 79.5, .cy = 59.5, .baseline = 0.3, .width = 160, .height = 120};
+  const mapping::FlogOptions options{.layers = 3, .bottom = -1.0, .height = 1.8};
+  mapping::FlogBuilder all(options, camera);
+  mapping::FlogBuilder middle({.layers = 1, .bottom = -0.4, .height = 0.6}, camera);
+  for (const double yaw : {0.0, 1.6, 3.2, 4.8}) {
+    const StereoView view = iris::testing::view_of({}, camera, iris::testing::level_camera({0, 0, 0}, yaw));
+    all.add(view), middle.add(view);
+  }
+  const MapRaster whole = mapping::rasterise(all.map(), options);
+  std::vector<MapRaster> layers;
+  for (int k = 0; k < 3; ++k) layers.push_back(layer_raster(all.map(), options, k, whole));
+  const MapRaster expected = mapping::rasterise(middle.map(), {.layers = 1, .bottom = -0.4, .height = 0.6});
+  EXPECT_GT(cv::countNonZero(expected.state == static_cast<uint8_t>(MapState::occupied)), 100);
+
+  write_map(folder_, whole, layers, {}, 0, {});
+  for (int k = 0; k < 3; ++k) {
+    const Nav2Map map = load_like_nav2(folder_ / ("map_layer" + std::to_string(k) + ".yaml"));
+    EXPECT_EQ(map.x, whole.origin_x);
+    EXPECT_EQ(map.y, whole.origin_y);
+    expect_the_same_states(map.cells, layers[static_cast<size_t>(k)]);
+  }
+  EXPECT_THAT(read_file(folder_ / "map_layer1.yaml"), ::testing::HasSubstr("between z = -0.4 m and 0.2 m"));
+  // Cell by cell where both have one; beyond the smaller map there is nothing.
+  const MapRaster& layer = layers[1];
+  const int right = static_cast<int>(std::lround((expected.origin_x - whole.origin_x) / whole.cell));
+  const int up = static_cast<int>(std::lround((expected.origin_y - whole.origin_y) / whole.cell));
+  int different = 0, known = 0;
+  for (int y = 0; y < expected.height; ++y) {
+    for (int x = 0; x < expected.width; ++x) {
+      different += layer.state(whole.height - up - expected.height + y, right + x) != expected.state(y, x);
+      known += expected.state(y, x) != 0;
+    }
+  }
+  EXPECT_EQ(different, 0);
+  EXPECT_EQ(cv::countNonZero(layer.state), known);
+  // Where any layer is occupied the map is; where all are unknown it is.
+  for (int y = 0; y < whole.height; ++y) {
+    for (int x = 0; x < whole.width; ++x) {
+      EXPECT_EQ(whole.state(y, x), std::max({layers[0].state(y, x), layers[1].state(y, x), layers[2].state(y, x)}));
+    }
+  }
+  // Without layers: the files of before are gone.
+  write_map(folder_, whole, {}, {}, 0, {.layers = false});
+  EXPECT_FALSE(fs::exists(folder_ / "map_layer0.yaml"));
+  EXPECT_FALSE(fs::exists(folder_ / "map_layer0.pgm"));
 }
 
 TEST_F(MapFileTest, WorldFileGivesTheCentresOfThePixels) {
-  write_map(folder_, raster_, graph_);
+  write_map(folder_, raster_, {}, graph_, 0, {});
   std::istringstream file(read_file(folder_ / "map.pgw"));
   double a, d, b, e, c, f;  // the order of the format
   ASSERT_TRUE(file >> a >> d >> b >> e >> c >> f);
@@ -114,7 +218,7 @@ TEST_F(MapFileTest, WorldFileGivesTheCentresOfThePixels) {
 }
 
 TEST_F(MapFileTest, PictureTellsUnknownFromFreeAndOccupied) {
-  write_map(folder_, raster_, graph_);
+  write_map(folder_, raster_, {}, graph_, 0, {});
   const cv::Mat3b picture = cv::imread((folder_ / "map.png").string());
   ASSERT_EQ(picture.size(), raster_.state.size());
   for (int y = 0; y < 5; ++y) {
@@ -140,7 +244,7 @@ TEST_F(MapFileTest, DecoratedPicturesShowPathStartAndEndOfTheSubmap) {
   PoseNode stray{.frame_idx = 9, .submap = 1};
   stray.world_from_cam.translation() << 500, 500, 0;
   graph_.nodes.push_back(stray);
-  write_map(folder_, raster_, graph_);
+  write_map(folder_, raster_, {}, graph_, 0, {});
   for (const char* name : {"map_picture.png", "layers.png"}) {
     const cv::Mat3b picture = cv::imread((folder_ / name).string());
     ASSERT_FALSE(picture.empty());
@@ -156,19 +260,19 @@ TEST_F(MapFileTest, DecoratedPicturesShowPathStartAndEndOfTheSubmap) {
 }
 
 TEST_F(MapFileTest, WritesTheSameBytesAgainAndWorksWithoutAPath) {
-  write_map(folder_, raster_, graph_);
+  write_map(folder_, raster_, {}, graph_, 0, {});
   std::map<std::string, std::string> first;
   for (const auto& entry : fs::directory_iterator(folder_)) first[entry.path().filename()] = read_file(entry.path());
   EXPECT_EQ(first.size(), 6u);
-  write_map(folder_, raster_, graph_);
+  write_map(folder_, raster_, {}, graph_, 0, {});
   for (const auto& [name, bytes] : first) EXPECT_EQ(read_file(folder_ / name), bytes) << name;
-  write_map(folder_, raster_, {});
+  write_map(folder_, raster_, {}, {}, 0, {});
 }
 
 TEST_F(MapFileTest, SaysThatTheFolderCannotBeWritten) {
   fs::create_directories(folder_);
   std::ofstream(folder_ / "file") << "in the way";
-  EXPECT_THROW(write_map(folder_ / "file", raster_, graph_), InputError);
+  EXPECT_THROW(write_map(folder_ / "file", raster_, {}, graph_, 0, {}), InputError);
 }
 
 }  // namespace

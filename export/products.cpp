@@ -37,14 +37,6 @@ std::unique_ptr<views::ViewStore> main_views(const Workspace& workspace, size_t 
                          cache_bytes);
 }
 
-workspace::WorldRecord main_world(const Workspace& workspace) {
-  const int submap = pipeline::summarise_frames(workspace, Poses::refined).largest_submap;
-  for (const workspace::WorldRecord& world : workspace.worlds()) {
-    if (world.submap == submap) return world;
-  }
-  throw Bug("the largest sub-map has no world");
-}
-
 Files files_in(const fs::path& out, const char* folder) {
   Files files;
   for (const auto& entry : fs::recursive_directory_iterator(out / folder)) {
@@ -102,14 +94,11 @@ SheetFacts facts_of(const Workspace& workspace, const mapping::MapRaster& raster
 }
 
 Files write_maps(const Workspace& workspace, const RunOptions& options, const RunControl& control) {
-  // Where no floor was found, it is taken to lie so far below the first camera.
-  constexpr double kUsualCameraHeight = 1;
-  mapping::FlogOptions mapping = options.library.mapping;
-  if (!main_world(workspace).floor_found) mapping.bottom -= kUsualCameraHeight;
   const auto views = main_views(workspace, kStreamCache);
   const int count = static_cast<int>(views->summaries().size());
   IRIS_CHECK(count > 0);
   const views::ViewSummary& first = views->summaries().front();
+  const mapping::FlogOptions mapping = map_options(workspace, options, first.submap);
   mapping::FlogBuilder builder(mapping, first.camera);
   Progress progress(control.progress, "map", count);
   for (int i = 0; i < count; ++i) {
@@ -131,6 +120,17 @@ Files write_maps(const Workspace& workspace, const RunOptions& options, const Ru
 }
 
 }  // namespace
+
+mapping::FlogOptions map_options(const Workspace& workspace, const RunOptions& options, int submap) {
+  constexpr double kUsualCameraHeight = 1;
+  mapping::FlogOptions mapping = options.library.mapping;
+  for (const workspace::WorldRecord& world : workspace.worlds()) {
+    if (world.submap != submap) continue;
+    if (!world.floor_found) mapping.bottom -= kUsualCameraHeight;
+    return mapping;
+  }
+  throw Bug(fmt::format("sub-map {} has no world", submap));
+}
 
 int write_tour(const Workspace& workspace, const RunOptions& options, const std::string& camera_path_file,
                const fs::path& video, const fs::path& frames_folder, const RunControl& control) {

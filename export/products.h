@@ -33,6 +33,10 @@ struct RunOptions {
 // trajectories all of them. The options must outlive the stages.
 std::vector<pipeline::Stage> product_stages(const RunOptions& options);
 
+// The layers of a sub-map's map: where no floor was found, it is taken to lie a usual camera height below the first
+// camera.
+mapping::FlogOptions map_options(const workspace::Workspace& workspace, const RunOptions& options, int submap);
+
 // Renders a tour into `video`; PNG frames too if `frames_folder` is not empty. Returns the number of frames.
 // `camera_path_file` is a camera path in JSON; empty = along the recorded path.
 int write_tour(const workspace::Workspace& workspace, const RunOptions& options, const std::string& camera_path_file,

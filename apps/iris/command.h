@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "export/measurement.h"
 #include "export/products.h"
 #include "iris/core/options.h"
 #include "iris/core/progress.h"
@@ -37,6 +38,7 @@ class Arguments {
 
   exporters::RunOptions options;
   simulate::SimulateOptions simulate;  // declared if "simulate" is among the sections: no part of a run
+  exporters::MeasureOptions measure;   // declared if "measure" is: likewise
   OptionSet set;                       // refers to the options above
 
   int threads() const;
@@ -65,6 +67,7 @@ Command add_simulate(CLI::App& program);
 Command add_stereo(CLI::App& program);
 Command add_export(CLI::App& program);
 Command add_tour(CLI::App& program);
+Command add_measure(CLI::App& program);
 Command add_evaluate(CLI::App& program);
 
 }  // namespace iris::app

@@ -38,6 +38,8 @@ int report_parse_error(const CLI::App& program, const CLI::ParseError& error) {
     options.declare(set);
     simulate::SimulateOptions simulated;
     simulated.declare(set);
+    exporters::MeasureOptions measure;
+    measure.declare(set);
     for (const CLI::App* command : program.get_subcommands()) {
       for (const std::string& extra : command->remaining()) {
         if (!extra.starts_with("--")) continue;
@@ -75,10 +77,16 @@ int run(int argc, char** argv) {
   const std::vector<std::pair<std::string, Command>> commands = {
       {"run", add_run(program)},           {"info", add_info(program)},         {"rectify", add_rectify(program)},
       {"stereo", add_stereo(program)},     {"export", add_export(program)},     {"tour", add_tour(program)},
-      {"simulate", add_simulate(program)}, {"evaluate", add_evaluate(program)},
+      {"simulate", add_simulate(program)}, {"evaluate", add_evaluate(program)}, {"measure", add_measure(program)},
   };
+  // CLI11 takes -0.5,1 for a value and -.5,1 for an option.
+  std::vector<std::string> arguments(argv + 1, argv + argc);
+  for (std::string& text : arguments) {
+    if (text.size() > 2 && text.starts_with("-.") && text[2] >= '0' && text[2] <= '9') text.insert(1, "0");
+  }
+  std::reverse(arguments.begin(), arguments.end());  // as it wants them
   try {
-    program.parse(argc, argv);
+    program.parse(arguments);
   } catch (const CLI::ParseError& error) {
     return report_parse_error(program, error);
   }

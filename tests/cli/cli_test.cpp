@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <random>
+#include <sstream>
 #include <thread>
 
 #include "iris/core/atomic_file.h"
@@ -421,6 +422,40 @@ TEST_F(Cli, ExportAndTourMakeProductsAgain) {
   const fs::path video = folder_->path() / "other.mp4";
   ASSERT_EQ(run_program({"tour", out.string(), "-o", video.string(), "--tour.seconds", "1", "--quiet"}).exit_code, 0);
   EXPECT_GT(fs::file_size(video), 1000u);
+}
+
+TEST_F(Cli, MeasureTellsDistancesAndHowSureTheyAre) {
+  // Points that the first view measured, a fifth of the width from its borders.
+  const RectifiedCamera camera = iris::testing::synthetic_camera();
+  const cv::Mat1f truth =
+      iris::testing::render_room(iris::testing::Room(), camera, iris::testing::synthetic_pose(0)).disparity.disparity;
+  // The world of a run: x forward, y left, z up, its origin on the floor or below the first camera.
+  std::istringstream tum(read_file(reference() / "trajectory/tum.txt"));
+  double t = 0, x = 0, y = 0, z = 0;
+  tum >> t >> x >> y >> z;
+  const auto point = [&](int column, int row) {
+    const Eigen::Vector3d p = camera.point(column, row, truth(row, column));
+    return std::to_string(p.z() + x) + "," + std::to_string(-p.x() + y) + "," + std::to_string(-p.y() + z);
+  };
+  const Eigen::Vector3d way = camera.point(60, 60, truth(60, 60)) - camera.point(250, 90, truth(90, 250));
+  const auto json = run_program({"measure", reference().string(), point(60, 60), point(250, 90), "--json", "-"});
+  ASSERT_EQ(json.exit_code, 0) << json.output;
+  const auto result = nlohmann::json::parse(json.output);
+  EXPECT_FALSE(result["horizontal"].get<bool>());
+  EXPECT_NEAR(result["distance"].get<double>(), way.norm(), 0.02 + 4 * result["sigma"].get<double>());
+  EXPECT_GT(result["sigma"].get<double>(), 0.0005);
+  EXPECT_LT(result["sigma"].get<double>(), 0.05);
+  const auto text = run_program({"measure", reference().string(), point(60, 60), point(250, 90)});
+  EXPECT_EQ(text.exit_code, 0);
+  EXPECT_THAT(text.output, AllOf(HasSubstr("distance  "), HasSubstr(" ± "), HasSubstr("seen from view")));
+
+  const auto far = run_program({"measure", reference().string(), "-.5,900", "1,0"});
+  EXPECT_EQ(far.exit_code, 3);
+  EXPECT_THAT(far.output, AllOf(HasSubstr("point A = (-0.5, 900)"), HasSubstr("the path goes from x")));
+  EXPECT_EQ(run_program({"measure", reference().string(), "1;2", "1,0"}).exit_code, 2);
+  EXPECT_EQ(run_program({"measure", reference().string(), "1,2", "1,0", "--submap", "7"}).exit_code, 2);
+  EXPECT_EQ(run_program({"measure", session().string(), "1,2", "1,0"}).exit_code, 3);
+  EXPECT_THAT(run_program({"measure", "--help"}).output, HasSubstr("plus or minus one standard deviation"));
 }
 
 // The truth of the simulated session as a session's truth/ folder has it, in a world that is turned and shifted.

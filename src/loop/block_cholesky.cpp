@@ -1,4 +1,4 @@
-#include "iris/loop/block_cholesky.h"
+#include "block_cholesky.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/OrderingMethods>
@@ -119,10 +119,8 @@ bool BlockCholesky<N>::factorise(double damping) {
 }
 
 template <int N>
-Eigen::VectorXd BlockCholesky<N>::diagonal() const {
-  Eigen::VectorXd result(N * size_);
-  for (int i = 0; i < size_; ++i) result.template segment<N>(N * i) = diagonal_[new_of_old_[i]].diagonal();
-  return result;
+void BlockCholesky<N>::factorise_nearly() {
+  for (double damping = 0; !factorise(damping); damping = std::max(1e-12, damping * 100)) IRIS_CHECK(damping < 0.1);
 }
 
 template <int N>

@@ -1,5 +1,7 @@
 #include "iris/loop/bundle.h"
 
+#include <ceres/loss_function.h>
+#include <ceres/ordered_groups.h>
 #include <fmt/format.h>
 
 #include <Eigen/Cholesky>
@@ -9,16 +11,19 @@
 #include <deque>
 #include <limits>
 #include <map>
+#include <memory>
 #include <opencv2/imgproc.hpp>
+#include <optional>
 
+#include "block_cholesky.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
-#include "iris/loop/block_cholesky.h"
 #include "iris/loop/pose_graph.h"
 #include "iris/motion/corner_disparity.h"
 #include "iris/motion/correspondences.h"
 #include "iris/motion/minimise.h"
 #include "iris/reconstruct/error_models.h"
+#include "pose_problem.h"
 
 namespace iris::loop {
 
@@ -125,7 +130,7 @@ struct Views {
 // the landmark's own surroundings, or those of the loop's view: positions do not drift from view to view.
 std::vector<Landmark> find_landmarks(const Views& views, const std::function<StereoView(int)>& view,
                                      const RectifiedCamera& camera, const BundleOptions& options,
-                                     motion::ScsOptions scs) {
+                                     motion::ScsOptions scs, const std::function<bool()>& stopped) {
   constexpr int kBlock = 8;                                // views that are read at once
   constexpr int kFoundCell = 3;                            // [px] two landmarks nearer to each other are one
   constexpr int kNewCell = 6;                              // [px] no new landmark so near to one
@@ -137,6 +142,7 @@ std::vector<Landmark> find_landmarks(const Views& views, const std::function<Ste
   int first_recent = 0;
   for (int k = 0; k < count; ++k) {
     if (k % kBlock == 0) {
+      if (stopped && stopped()) throw Interrupted();
       std::vector<motion::ViewFeatures> block(static_cast<size_t>(std::min(kBlock, count - k)));
       parallel_chunks(0, static_cast<int>(block.size()), 1, [&](int begin, int end) {
         for (int b = begin; b < end; ++b) {
@@ -214,6 +220,12 @@ std::vector<Landmark> find_landmarks(const Views& views, const std::function<Ste
       ++first_recent;
     }
   }
+  // A loop's motion and the poses may differ so much that a near point is behind the camera.
+  for (Landmark& landmark : landmarks) {
+    std::erase_if(landmark.observations, [&](const Observation& seen) {
+      return !((views.poses[seen.view].inverse() * landmark.point).z() > 0);
+    });
+  }
   std::erase_if(landmarks, [](const Landmark& landmark) { return landmark.observations.size() < 2; });
   return landmarks;
 }
@@ -232,6 +244,33 @@ struct State {
   Eigen::Vector3d calibration = Eigen::Vector3d::Zero();
 };
 
+// An observation by the pose of its view, its point and the calibration.
+class ObservationCost final : public ceres::SizedCostFunction<3, kPoseNumbers, 3, kCalibration> {
+ public:
+  ObservationCost(const RectifiedCamera& camera, const Eigen::Vector3d& seen) : camera_(camera), seen_(seen) {}
+
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    const Pose world_from_cam = pose_at(parameters[0]);
+    const ObservationResidual at = observe(camera_, world_from_cam, Eigen::Map<const Eigen::Vector3d>(parameters[1]),
+                                           Eigen::Map<const Eigen::Vector3d>(parameters[2]), seen_);
+    if (!at.valid) return false;
+    Eigen::Map<Eigen::Vector3d>{residuals} = at.residual;
+    if (!jacobians) return true;
+    using Square = Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>;
+    if (jacobians[0]) {
+      Eigen::Map<Eigen::Matrix<double, 3, kPoseNumbers, Eigen::RowMajor>>{jacobians[0]}.noalias() =
+          at.by_pose * step_from_numbers(world_from_cam);
+    }
+    if (jacobians[1]) Square{jacobians[1]} = at.by_point;
+    if (jacobians[2]) Square{jacobians[2]} = at.by_calibration;
+    return true;
+  }
+
+ private:
+  const RectifiedCamera& camera_;
+  Eigen::Vector3d seen_;
+};
+
 // The landmarks of one anchor: the unit of parallel work. Their part of the reduced system is small and dense.
 struct Group {
   int begin = 0, end = 0;                  // landmarks
@@ -243,7 +282,7 @@ struct Group {
 class Adjuster {
  public:
   Adjuster(const RectifiedCamera& camera, const std::vector<Landmark>& landmarks, const std::vector<Bridge>& bridges,
-           const std::vector<int>& unknown_of_view, int unknowns, double times)
+           const std::vector<int>& unknown_of_view, int unknowns, double times, const std::function<bool()>& stopped)
       : camera_(camera),
         landmarks_(landmarks),
         bridges_(bridges),
@@ -251,13 +290,11 @@ class Adjuster {
         unknowns_(unknowns),
         groups_(grouped()),
         system_(unknowns, pairs_of_groups()),
-        times_(times) {}
+        times_(times),
+        stopped_(stopped) {}
 
   // How good the observations are [px]: what residuals are compared with.
-  void set_sigma(double sigma) {
-    variance_ = sigma * sigma;
-    width2_ = kWidth * kWidth * variance_;
-  }
+  void set_sigma(double sigma) { sigma_ = sigma; }
 
   // Whether odometry counts between all successive views, or only where it is needed: the errors of the calibration are
   // in it.
@@ -265,36 +302,55 @@ class Adjuster {
 
   // Least squares over poses, points and those parameters of the calibration that are free (1, else 0). Returns whether
   // it has come to rest.
-  bool run(State& state, const Eigen::Array3d& free, int max_iterations, int& iterations) {
-    double damping = 1e-8, cost = cost_of(state);
-    for (int n = 0; n < max_iterations; ++n, ++iterations) {
-      for (bool moved = false; !moved;) {
-        linearise(state, damping);
-        Eigen::VectorXd step;
-        Eigen::Vector3d calibration_step;
-        if (system_.factorise(damping) && solve(free, step, calibration_step)) {
-          const double decrease = -(step.dot(gradient_) + calibration_step.dot(calibration_gradient_));
-          State next = moved_by(state, step, calibration_step);
-          const double next_cost = cost_of(next);
-          if (next_cost <= cost) {
-            const bool rests = decrease < kRest * width2_;
-            state = std::move(next);
-            cost = next_cost;
-            damping = std::max(damping / 10, 1e-9);
-            if (rests) return true;
-            moved = true;
-          }
-        }
-        if (!moved) damping *= 10;
-        if (damping > 1e4) return false;
-      }
+  bool run(State& state, const Eigen::Array3d& free, int max_iterations, int& iterations) const {
+    PoseManifold manifold;
+    std::vector<int> fixed;
+    for (int k = 0; k < kCalibration; ++k) {
+      if (free(k) == 0) fixed.push_back(k);
     }
-    return false;
+    std::optional<ceres::SubsetManifold> free_part;
+    if (static_cast<int>(fixed.size()) < kCalibration) free_part.emplace(kCalibration, fixed);
+    ceres::CauchyLoss loss(kWidth * sigma_);
+
+    ceres::Problem problem(lent());
+    auto order = std::make_shared<ceres::ParameterBlockOrdering>();  // points are eliminated first
+    for (size_t v = 0; v < state.poses.size(); ++v) {
+      problem.AddParameterBlock(state.poses[v].data(), kPoseNumbers, &manifold);
+      if (unknown_of_view_[v] < 0) problem.SetParameterBlockConstant(state.poses[v].data());
+      order->AddElementToGroup(state.poses[v].data(), 1);
+    }
+    problem.AddParameterBlock(state.calibration.data(), kCalibration);
+    order->AddElementToGroup(state.calibration.data(), 1);
+    if (free_part) {
+      problem.SetManifold(state.calibration.data(), &*free_part);
+    } else {
+      problem.SetParameterBlockConstant(state.calibration.data());
+    }
+    for (size_t l = 0; l < landmarks_.size(); ++l) {
+      double* const point = state.points[l].data();
+      for (const Observation& seen : landmarks_[l].observations) {
+        problem.AddResidualBlock(new ObservationCost(camera_, seen.seen), &loss, state.poses[seen.view].data(), point,
+                                 state.calibration.data());
+      }
+      order->AddElementToGroup(point, 0);
+    }
+    for (const Bridge& bridge : bridges_) {
+      const double weight = weight_of(bridge);
+      if (weight == 0) continue;
+      problem.AddResidualBlock(new EdgeCost(bridge.i_from_j, weight * bridge.information), nullptr,
+                               state.poses[bridge.i].data(), state.poses[bridge.j].data());
+    }
+    ceres::Solver::Options options = near_the_minimum(ceres::SPARSE_SCHUR);
+    options.linear_solver_ordering = order;
+    options.initial_trust_region_radius = 1e8;
+    Watch watch(stopped_);
+    watch.rest = kRest * sigma_ * sigma_ * static_cast<double>(3 * landmarks_.size() + 6 * unknowns_);
+    return minimise(problem, options, watch, max_iterations, iterations);
   }
 
   // Standard deviations of all calibration parameters together, in units of the observations' (linearised, all free).
   Eigen::Array3d calibration_sigma(const State& state) {
-    linearise(state, 0);
+    linearise(state);
     if (!system_.factorise(1e-12)) return Eigen::Array3d::Constant(std::numeric_limits<double>::infinity());
     const Eigen::MatrixXd y = system_.solve(coupling_);
     const Eigen::Matrix3d reduced = calibration_hessian_ - coupling_.transpose() * y;
@@ -305,15 +361,18 @@ class Adjuster {
 
   // Marginal covariances of the unknown poses, in units of the observations' variance.
   std::vector<Matrix6d> covariances(const State& state, const Eigen::Array3d& free) {
-    linearise(state, 0);
-    double damping = 0;
-    while (!system_.factorise(damping)) {
-      damping = std::max(1e-12, damping * 100);
-      IRIS_CHECK(damping < 1);
-    }
+    linearise(state);
+    system_.factorise_nearly();
     std::vector<Matrix6d> result = system_.inverse_diagonal();
     const Eigen::MatrixXd y = system_.solve(coupling_);
-    const Eigen::Matrix3d inverse = masked(calibration_hessian_ - coupling_.transpose() * y, free).inverse();
+    Eigen::Matrix3d reduced = calibration_hessian_ - coupling_.transpose() * y;
+    for (int k = 0; k < kCalibration; ++k) {
+      if (free(k) != 0) continue;
+      reduced.row(k).setZero();
+      reduced.col(k).setZero();
+      reduced(k, k) = 1;
+    }
+    const Eigen::Matrix3d inverse = reduced.inverse();
     for (int u = 0; u < unknowns_; ++u) {
       const Eigen::Matrix<double, 6, 3> part = y.middleRows<6>(6 * u) * free.matrix().asDiagonal();
       result[u] += part * inverse * part.transpose();
@@ -335,12 +394,9 @@ class Adjuster {
   }
 
  private:
-  static constexpr double kRest = 0.01;  // all poses together: a third of a standard deviation
-
-  struct Part {               // of a group
-    Eigen::MatrixXd hessian;  // of its views, then the calibration
-    Eigen::VectorXd gradient;
-  };
+  // Half of the square of the steps of all points and poses, for each of them: 4 % of a standard deviation on average.
+  // Robust weights settle slowly, those of points last; poses no longer notice.
+  static constexpr double kRest = 1e-3;
 
   std::vector<Group> grouped() const {
     std::vector<Group> groups;
@@ -389,190 +445,85 @@ class Adjuster {
 
   // Takes odometry's information to the units of the observations, which are `times_` as uncertain as they look.
   double weight_of(const Bridge& bridge) const {
-    return bridge.needed || odometry_everywhere_ ? times_ * times_ * variance_ : 0;
+    return bridge.needed || odometry_everywhere_ ? times_ * times_ * sigma_ * sigma_ : 0;
   }
 
-  double cost_of(const State& state) const {
-    std::vector<double> costs(groups_.size(), 0);
+  // Gauss and Newton's matrix at some state with all points eliminated by their 3x3 Schur complements: what covariances
+  // follow from.
+  void linearise(const State& state) {
+    std::vector<Eigen::MatrixXd> parts(groups_.size());
     parallel_chunks(0, static_cast<int>(groups_.size()), 1, [&](int begin, int end) {
-      for (int g = begin; g < end; ++g) {
-        for (int l = groups_[g].begin; l < groups_[g].end; ++l) {
-          for (const Observation& seen : landmarks_[l].observations) {
-            const Eigen::Vector3d in_cam =
-                state.poses[seen.view].linear().transpose() * (state.points[l] - state.poses[seen.view].translation());
-            if (!(in_cam.z() > 0)) {
-              costs[g] = std::numeric_limits<double>::infinity();
-              continue;
-            }
-            Eigen::Vector3d residual =
-                (1 + state.calibration(1)) * reconstruct::image_coordinates(camera_, in_cam) - seen.seen;
-            residual.z() += state.calibration(0) + state.calibration(2) * seen.seen.y() * M_SQRT1_2;
-            costs[g] += width2_ * std::log1p(residual.squaredNorm() / width2_);
-          }
-        }
-      }
-    });
-    double cost = 0;
-    for (const double one : costs) cost += one;
-    for (const Bridge& bridge : bridges_) {
-      const Vector6d residual = edge_residual(state.poses[bridge.i], state.poses[bridge.j], bridge.i_from_j);
-      cost += weight_of(bridge) * residual.dot(bridge.information * residual);
-    }
-    return cost;
-  }
-
-  // The normal equations with all points eliminated by their 3x3 Schur complements. Each point keeps what its own step
-  // needs.
-  void linearise(const State& state, double damping) {
-    inverse_.resize(landmarks_.size());
-    point_gradient_.resize(landmarks_.size());
-    std::vector<Part> parts(groups_.size());
-    parallel_chunks(0, static_cast<int>(groups_.size()), 1, [&](int begin, int end) {
-      for (int g = begin; g < end; ++g) parts[g] = part_of(groups_[g], state, damping);
+      for (int g = begin; g < end; ++g) parts[g] = part_of(groups_[g], state);
     });
     system_.set_zero();
-    gradient_ = Eigen::VectorXd::Zero(6 * unknowns_);
     coupling_ = Eigen::MatrixXd::Zero(6 * unknowns_, kCalibration);
     calibration_hessian_.setZero();
-    calibration_gradient_.setZero();
     for (size_t g = 0; g < groups_.size(); ++g) {
       const Group& group = groups_[g];
-      const Part& part = parts[g];
+      const Eigen::MatrixXd& part = parts[g];
       const int last = 6 * static_cast<int>(group.views.size());
       for (size_t v = 0; v < group.views.size(); ++v) {
         const int u = unknown_of_view_[group.views[v]], at = 6 * static_cast<int>(v);
         if (u < 0) continue;
-        system_.add(u, part.hessian.block<6, 6>(at, at));
-        gradient_.segment<6>(6 * u) += part.gradient.segment<6>(at);
-        coupling_.middleRows<6>(6 * u) += part.hessian.block<6, kCalibration>(at, last);
+        system_.add(u, part.block<6, 6>(at, at));
+        coupling_.middleRows<6>(6 * u) += part.block<6, kCalibration>(at, last);
       }
       for (size_t p = 0; p < group.pairs.size(); ++p) {
         const auto& [a, b] = group.pairs[p];
-        system_.add_pair(group.pair_slots[p], part.hessian.block<6, 6>(6 * a, 6 * b));
+        system_.add_pair(group.pair_slots[p], part.block<6, 6>(6 * a, 6 * b));
       }
-      calibration_hessian_ += part.hessian.bottomRightCorner<kCalibration, kCalibration>();
-      calibration_gradient_ += part.gradient.tail<kCalibration>();
+      calibration_hessian_ += part.bottomRightCorner<kCalibration, kCalibration>();
     }
     for (size_t b = 0; b < bridges_.size(); ++b) {
       const Bridge& bridge = bridges_[b];
       const Pose &i = state.poses[bridge.i], &j = state.poses[bridge.j];
-      const Vector6d residual = edge_residual(i, j, bridge.i_from_j);
-      const EdgeJacobians jacobians = edge_jacobians(i, j, residual);
+      const EdgeJacobians jacobians = edge_jacobians(i, j, edge_residual(i, j, bridge.i_from_j));
       const int ui = unknown_of_view_[bridge.i], uj = unknown_of_view_[bridge.j];
       const Matrix6d information = weight_of(bridge) * bridge.information;
       const Matrix6d weighted_i = information * jacobians.by_i, weighted_j = information * jacobians.by_j;
-      if (ui >= 0) {
-        system_.add(ui, jacobians.by_i.transpose() * weighted_i);
-        gradient_.segment<6>(6 * ui) += weighted_i.transpose() * residual;
-      }
-      if (uj >= 0) {
-        system_.add(uj, jacobians.by_j.transpose() * weighted_j);
-        gradient_.segment<6>(6 * uj) += weighted_j.transpose() * residual;
-      }
+      if (ui >= 0) system_.add(ui, jacobians.by_i.transpose() * weighted_i);
+      if (uj >= 0) system_.add(uj, jacobians.by_j.transpose() * weighted_j);
       system_.add_pair(first_bridge_slot_ + static_cast<int>(b), jacobians.by_i.transpose() * weighted_j);
     }
   }
 
-  Part part_of(const Group& group, const State& state, double damping) {
-    const int size = 6 * static_cast<int>(group.views.size()) + kCalibration, last = size - kCalibration;
-    Part part{.hessian = Eigen::MatrixXd::Zero(size, size), .gradient = Eigen::VectorXd::Zero(size)};
+  // A group's part of it: its views, then the calibration.
+  Eigen::MatrixXd part_of(const Group& group, const State& state) const {
+    const int last = 6 * static_cast<int>(group.views.size());
+    Eigen::MatrixXd part = Eigen::MatrixXd::Zero(last + kCalibration, last + kCalibration);
     std::vector<int> places;
     std::vector<Eigen::Matrix<double, 6, 3>> by_point;  // of each observation: pose by point
-    std::vector<Eigen::Matrix<double, 6, 3>> reduced;   // times the inverse of the point's Hessian
     for (int l = group.begin; l < group.end; ++l) {
-      const auto& observations = landmarks_[l].observations;
       places.clear();
       by_point.clear();
-      reduced.clear();
       Eigen::Matrix3d point_hessian = Eigen::Matrix3d::Zero(), calibration_by_point = Eigen::Matrix3d::Zero();
-      Eigen::Vector3d point_gradient = Eigen::Vector3d::Zero();
-      for (const Observation& seen : observations) {
+      for (const Observation& seen : landmarks_[l].observations) {
         const ObservationResidual at =
             observe(camera_, state.poses[seen.view], state.points[l], state.calibration, seen.seen);
         IRIS_CHECK(at.valid);
-        const double weight = 1 / (1 + at.residual.squaredNorm() / width2_);
+        const double weight = 1 / (1 + at.residual.squaredNorm() / (kWidth * kWidth * sigma_ * sigma_));
         const int place = 6 * place_in(group, seen.view);
         const Eigen::Matrix<double, 6, 3> pose = weight * at.by_pose.transpose();
         const Eigen::Matrix3d calibration = weight * at.by_calibration.transpose();
         point_hessian.noalias() += weight * at.by_point.transpose() * at.by_point;
-        point_gradient.noalias() += weight * at.by_point.transpose() * at.residual;
-        part.hessian.block<6, 6>(place, place).noalias() += pose * at.by_pose;
-        part.hessian.block<6, 3>(place, last).noalias() += pose * at.by_calibration;
-        part.hessian.block<3, 3>(last, last).noalias() += calibration * at.by_calibration;
-        part.gradient.segment<6>(place).noalias() += pose * at.residual;
-        part.gradient.segment<3>(last).noalias() += calibration * at.residual;
+        part.block<6, 6>(place, place).noalias() += pose * at.by_pose;
+        part.block<6, 3>(place, last).noalias() += pose * at.by_calibration;
+        part.block<3, 3>(last, last).noalias() += calibration * at.by_calibration;
         calibration_by_point.noalias() += calibration * at.by_point;
         places.push_back(place);
         by_point.push_back(pose * at.by_point);
       }
-      point_hessian.diagonal() *= 1 + damping;
       const Eigen::Matrix3d inverse = point_hessian.inverse();
-      inverse_[l] = inverse;
-      point_gradient_[l] = point_gradient;
-      const Eigen::Vector3d step = inverse * point_gradient;
-      const Eigen::Matrix3d calibration_reduced = calibration_by_point * inverse;
       for (size_t a = 0; a < places.size(); ++a) {
-        reduced.push_back(by_point[a] * inverse);
-        part.gradient.segment<6>(places[a]).noalias() -= by_point[a] * step;
-        part.hessian.block<6, 3>(places[a], last).noalias() -= reduced[a] * calibration_by_point.transpose();
+        const Eigen::Matrix<double, 6, 3> reduced = by_point[a] * inverse;
+        part.block<6, 3>(places[a], last).noalias() -= reduced * calibration_by_point.transpose();
         for (size_t b = a; b < places.size(); ++b) {
-          part.hessian.block<6, 6>(places[a], places[b]).noalias() -= reduced[a] * by_point[b].transpose();
+          part.block<6, 6>(places[a], places[b]).noalias() -= reduced * by_point[b].transpose();
         }
       }
-      part.gradient.segment<3>(last).noalias() -= calibration_by_point * step;
-      part.hessian.block<3, 3>(last, last).noalias() -= calibration_reduced * calibration_by_point.transpose();
+      part.block<3, 3>(last, last).noalias() -= calibration_by_point * inverse * calibration_by_point.transpose();
     }
     return part;
-  }
-
-  // Without the parameters that are not free.
-  static Eigen::Matrix3d masked(Eigen::Matrix3d matrix, const Eigen::Array3d& free) {
-    for (int k = 0; k < kCalibration; ++k) {
-      if (free(k) != 0) continue;
-      matrix.row(k).setZero();
-      matrix.col(k).setZero();
-      matrix(k, k) = 1;
-    }
-    return matrix;
-  }
-
-  bool solve(const Eigen::Array3d& free, Eigen::VectorXd& step, Eigen::Vector3d& calibration_step) const {
-    Eigen::MatrixXd right(6 * unknowns_, 1 + kCalibration);
-    right << -gradient_, coupling_;
-    const Eigen::MatrixXd solved = system_.solve(right);
-    const auto y = solved.rightCols<kCalibration>();
-    const Eigen::Matrix3d reduced = masked(calibration_hessian_ - coupling_.transpose() * y, free);
-    const Eigen::Vector3d rest = free * (-calibration_gradient_ - coupling_.transpose() * solved.col(0)).array();
-    const Eigen::LLT<Eigen::Matrix3d> solver(reduced);
-    if (solver.info() != Eigen::Success) return false;
-    calibration_step = solver.solve(rest);
-    step = solved.col(0) - y * calibration_step;
-    return step.allFinite();
-  }
-
-  State moved_by(const State& state, const Eigen::VectorXd& step, const Eigen::Vector3d& calibration_step) const {
-    State moved = state;
-    for (size_t v = 0; v < state.poses.size(); ++v) {
-      const int u = unknown_of_view_[v];
-      if (u >= 0) moved.poses[v] = screwed(state.poses[v], step.segment<6>(6 * u));
-    }
-    moved.calibration += calibration_step;
-    parallel_chunks(0, static_cast<int>(landmarks_.size()), 512, [&](int begin, int end) {
-      for (int l = begin; l < end; ++l) {
-        Eigen::Vector3d gradient = point_gradient_[l];
-        for (const Observation& seen : landmarks_[l].observations) {
-          const ObservationResidual at =
-              observe(camera_, state.poses[seen.view], state.points[l], state.calibration, seen.seen);
-          const double weight = 1 / (1 + at.residual.squaredNorm() / width2_);
-          Eigen::Vector3d change = at.by_calibration * calibration_step;
-          const int u = unknown_of_view_[seen.view];
-          if (u >= 0) change += at.by_pose * step.segment<6>(6 * u);
-          gradient += weight * at.by_point.transpose() * change;
-        }
-        moved.points[l] -= inverse_[l] * gradient;
-      }
-    });
-    return moved;
   }
 
   const RectifiedCamera& camera_;
@@ -582,15 +533,12 @@ class Adjuster {
   int unknowns_ = 0, first_bridge_slot_ = 0;
   std::vector<Group> groups_;
   BlockCholesky<6> system_;
-  Eigen::VectorXd gradient_;
   Eigen::MatrixXd coupling_;
   Eigen::Matrix3d calibration_hessian_;
-  Eigen::Vector3d calibration_gradient_;
-  std::vector<Eigen::Matrix3d> inverse_;
-  std::vector<Eigen::Vector3d> point_gradient_;
   double times_ = 1;
+  const std::function<bool()>& stopped_;  // may be empty
   bool odometry_everywhere_ = true;
-  double variance_ = 1, width2_ = kWidth * kWidth;  // [px^2]
+  double sigma_ = 1;  // [px]
 };
 
 double median(std::vector<double> values) {
@@ -714,7 +662,8 @@ void spread_over_nodes(const std::vector<PoseNode>& nodes, const Views& views, c
 
 BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_frames,
                     const std::function<StereoView(int)>& view, const RectifiedCamera& camera,
-                    const BundleOptions& options, const PoseGraphOptions& graph, const motion::ScsOptions& scs) {
+                    const BundleOptions& options, const PoseGraphOptions& graph, const motion::ScsOptions& scs,
+                    const std::function<bool()>& stopped) {
   const std::vector<PoseNode>& nodes = refined.graph.nodes;
   BundleResult result{.nodes = nodes, .camera = camera, .views = static_cast<int>(view_frames.size())};
   result.covariance.assign(nodes.size(), Matrix6d::Zero());
@@ -749,7 +698,7 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
     }
   }
 
-  const std::vector<Landmark> landmarks = find_landmarks(views, view, camera, options, scs);
+  const std::vector<Landmark> landmarks = find_landmarks(views, view, camera, options, scs, stopped);
   result.points = static_cast<int>(landmarks.size());
   for (const Landmark& landmark : landmarks) result.observations += static_cast<int>(landmark.observations.size());
   if (unknowns == 0 || 3 * (result.observations - result.points) < 12 * unknowns) {
@@ -761,7 +710,7 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
   // Only loose first: how good the observations are is told by what is left.
   State state{.poses = views.poses};
   for (const Landmark& landmark : landmarks) state.points.push_back(landmark.point);
-  Adjuster adjuster(camera, landmarks, bridges, unknown_of_view, unknowns, options.sigma);
+  Adjuster adjuster(camera, landmarks, bridges, unknown_of_view, unknowns, options.sigma, stopped);
   const Eigen::Array3d none = Eigen::Array3d::Zero();
   // Points begin where their anchor saw them; half of their disagreement is its own.
   result.rms_before = robust_sigma(adjuster.squares(state));

@@ -5,35 +5,8 @@
 #include <numbers>
 
 #include "iris/core/error.h"
-#include "iris/motion/minimise.h"
 
 namespace iris::loop {
-
-Matrix6d twist_covariance(const Pose& pose, const Matrix6d& covariance) {
-  Matrix6d twist_from_motion = Matrix6d::Identity();  // v = dt + t x dw
-  twist_from_motion.topRightCorner<3, 3>() = motion::cross_matrix(pose.translation());
-  return twist_from_motion * covariance * twist_from_motion.transpose();
-}
-
-Matrix6d motion_covariance(const Pose& pose, const Matrix6d& twist_covariance) {
-  Matrix6d motion_from_twist = Matrix6d::Identity();
-  motion_from_twist.topRightCorner<3, 3>() = -motion::cross_matrix(pose.translation());
-  return motion_from_twist * twist_covariance * motion_from_twist.transpose();
-}
-
-Matrix6d adjoint(const Pose& b_from_a) {
-  Matrix6d result = Matrix6d::Zero();
-  result.topLeftCorner<3, 3>() = result.bottomRightCorner<3, 3>() = b_from_a.linear();
-  result.topRightCorner<3, 3>() = motion::cross_matrix(b_from_a.translation()) * b_from_a.linear();
-  return result;
-}
-
-Vector6d twist_of(const Pose& pose) {
-  const Eigen::AngleAxisd turn(pose.linear());
-  Vector6d twist;
-  twist << pose.translation(), turn.angle() * turn.axis();
-  return twist;
-}
 
 Odometry::Odometry(const PoseGraph& graph, const LoopOptions& options)
     : nodes_(graph.nodes),

@@ -1,5 +1,7 @@
 #include "iris/loop/pose_graph.h"
 
+#include <ceres/loss_function.h>
+
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
@@ -9,10 +11,12 @@
 #include <numeric>
 #include <queue>
 
+#include "block_cholesky.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
-#include "iris/loop/block_cholesky.h"
+#include "iris/loop/twist.h"
 #include "iris/motion/minimise.h"
+#include "pose_problem.h"
 
 namespace iris::loop {
 
@@ -31,42 +35,6 @@ void PoseGraphOptions::declare(OptionSet& set) {
   set.add("max_iterations", max_iterations, "", 1, 1000, "most iterations of the pose graph's minimisation");
 }
 
-namespace {
-
-using motion::cross_matrix;
-
-// Logarithm of a rotation.
-Eigen::Vector3d log_of(const Eigen::Matrix3d& rotation) {
-  const Eigen::AngleAxisd turn(rotation);
-  return turn.angle() * turn.axis();
-}
-
-// Derivative of log(exp(d) exp(phi)) by d at d = 0.
-Eigen::Matrix3d inverse_left_jacobian(const Eigen::Vector3d& phi) {
-  const double angle = phi.norm();
-  const double factor = angle < 1e-4 ? 1.0 / 12 : (1 - 0.5 * angle / std::tan(0.5 * angle)) / (angle * angle);
-  const Eigen::Matrix3d x = cross_matrix(phi);
-  return Eigen::Matrix3d::Identity() - 0.5 * x + factor * x * x;
-}
-
-}  // namespace
-
-Pose screwed(const Pose& pose, const Vector6d& step) {
-  const Eigen::Vector3d w = step.tail<3>(), v = step.head<3>() - w.cross(pose.translation());
-  const double angle = w.norm();
-  Pose result = pose;
-  if (angle < 1e-9) {
-    result.translation() += step.head<3>();
-  } else {
-    const Eigen::Matrix3d turn = Eigen::AngleAxisd(angle, w / angle).toRotationMatrix();
-    const Eigen::Vector3d wv = w.cross(v);
-    result.translation() = turn * pose.translation() + v + (1 - std::cos(angle)) / (angle * angle) * wv +
-                           (angle - std::sin(angle)) / (angle * angle * angle) * w.cross(wv);
-    result.linear() = turn * pose.linear();
-  }
-  return result;
-}
-
 Vector6d edge_residual(const Pose& world_from_i, const Pose& world_from_j, const Pose& i_from_j) {
   const Eigen::Matrix3d i_from_world = world_from_i.linear().transpose();
   Vector6d residual;
@@ -80,7 +48,7 @@ EdgeJacobians edge_jacobians(const Pose& world_from_i, const Pose& world_from_j,
   const Eigen::Matrix3d turn = inverse_left_jacobian(residual.tail<3>()) * i_from_world;
   EdgeJacobians result;
   result.by_i << -i_from_world,
-      i_from_world * cross_matrix(world_from_j.translation() - world_from_i.translation()),  //
+      i_from_world * motion::cross_matrix(world_from_j.translation() - world_from_i.translation()),  //
       Eigen::Matrix3d::Zero(), -turn;
   result.by_j << i_from_world, Eigen::Matrix3d::Zero(),  //
       Eigen::Matrix3d::Zero(), turn;
@@ -123,28 +91,6 @@ std::vector<Link> links_of(const PoseGraph& graph, const PoseGraphOptions& optio
     links.push_back(link);
   }
   return links;
-}
-
-// Takes a perturbation (dt, dw) of a pose to the twist in the frame the pose leads to: exp(twist) pose.
-Matrix6d twist_by_perturbation(const Pose& pose) {
-  Matrix6d result = Matrix6d::Identity();
-  result.topRightCorner<3, 3>() = cross_matrix(pose.translation());
-  return result;
-}
-
-// Takes a twist in frame a to frame world (the adjoint).
-Matrix6d adjoint(const Pose& world_from_a) {
-  Matrix6d result = Matrix6d::Zero();
-  result.topLeftCorner<3, 3>() = result.bottomRightCorner<3, 3>() = world_from_a.linear();
-  result.topRightCorner<3, 3>() = cross_matrix(world_from_a.translation()) * world_from_a.linear();
-  return result;
-}
-
-Vector6d log_of(const Pose& pose) {
-  Vector6d twist;
-  const Eigen::Vector3d phi = log_of(Eigen::Matrix3d(pose.linear()));
-  twist << inverse_left_jacobian(phi) * pose.translation(), phi;
-  return twist;
 }
 
 // Poses that a spanning forest of edges gives, with their uncertainty. Twists in a common frame simply add up along a
@@ -209,14 +155,14 @@ class Forest {
 
   // Covariance of a link's own error as a twist in the frame that world_from_i leads to.
   static Matrix6d in_root(const Link& link, const Pose& world_from_i) {
-    const Matrix6d to_root = adjoint(world_from_i) * twist_by_perturbation(link.i_from_j);
-    return to_root * link.covariance * to_root.transpose();
+    const Matrix6d to_root = adjoint(world_from_i);
+    return to_root * twist_covariance(link.i_from_j, link.covariance) * to_root.transpose();
   }
 
   // Squared Mahalanobis distance between a link and what its tree says.
   double disagreement(const Link& link) const {
     const Matrix6d covariance = covariance_between(link.i, link.j) + in_root(link, pose_[link.i]);
-    const Vector6d twist = log_of(pose_[link.i] * link.i_from_j * pose_[link.j].inverse());
+    const Vector6d twist = twist_of(pose_[link.i] * link.i_from_j * pose_[link.j].inverse());
     return twist.dot(covariance.ldlt().solve(twist));
   }
 
@@ -230,7 +176,7 @@ class Forest {
         covariance_between(end_in(first, true), end_in(second, true)) +
         to_a * covariance_between(end_in(first, false), end_in(second, false)) * to_a.transpose() + own(first, a) +
         own(second, a);
-    const Vector6d twist = log_of(first_place * second_place.inverse());
+    const Vector6d twist = twist_of(first_place * second_place.inverse());
     return twist.dot(covariance.ldlt().solve(twist));
   }
 
@@ -411,117 +357,102 @@ bool relax(const std::vector<Link>& links, const std::vector<int>& active, const
   return true;
 }
 
-// Gauss and Newton's normal equations at some poses.
-struct Linearised {
-  Matrix6d ii, jj, ij;
-  Vector6d gradient_i, gradient_j;
+// Dynamic covariance scaling of loops.
+class LoopLoss final : public ceres::LossFunction {
+ public:
+  void Evaluate(double square, double out[3]) const override {
+    const double s = std::min(1.0, 2 * phi / (phi + square));
+    out[0] = robust(square, phi);
+    out[1] = s * s;
+    out[2] = s < 1 ? -2 * s * s / (phi + square) : 0;
+  }
+  double phi = 1;
 };
 
-class Minimiser {
+// The poses that agree best with the active links. The poses stay where they are in memory.
+class GraphProblem {
  public:
-  Minimiser(const std::vector<Link>& links, std::vector<int> active, const Unknowns& unknowns)
-      : links_(links),
-        active_(std::move(active)),
-        unknowns_(unknowns),
-        system_(unknowns.count, pairs_of(links, active_, unknowns)),
-        parts_(active_.size()) {}
-
-  // Until the step is far below the uncertainty of the poses; phi falls from `phi` to `last_phi` on the way.
-  bool run(std::vector<Pose>& poses, double phi, double last_phi, int max_iterations, int& iterations) {
-    double damping = 0;  // weak modes of a long chain are 1e-12 of its diagonal: damp only where a step fails
-    bool rests = false;
-    const double fall = std::min(1.0 / 8, std::pow(last_phi / phi, 1.0 / 6));
-    for (int n = 0; n < max_iterations && !rests; ++n, ++iterations) {
-      if (n > 0) phi = std::max(last_phi, phi * fall);
-      const Eigen::VectorXd gradient = linearise(poses, phi);
-      const double cost = cost_of(links_, active_, poses, phi);
-      for (;;) {
-        if (!system_.factorise(damping)) {
-          damping = std::max(1e-9, damping * 10);
-          if (damping > 1e6) return false;
-          continue;
-        }
-        const Eigen::VectorXd step = system_.solve(-gradient);
-        const std::vector<Pose> moved = moved_by(poses, step);
-        const double decrease = -step.dot(gradient);  // squared step in standard deviations, if damping is small
-        const bool tiny = decrease < kRest;
-        if (tiny || cost_of(links_, active_, moved, phi) <= cost) {
-          poses = moved;
-          damping = damping < 1e-12 ? 0 : damping / 100;
-          rests = tiny && phi == last_phi && damping < 1e-6;
-          break;
-        }
-        damping = std::max(1e-12, damping * 10);
-        if (damping > 1e9) return phi == last_phi;  // nothing decreases the cost any more
-      }
+  GraphProblem(const std::vector<Link>& links, const std::vector<int>& active, const Unknowns& unknowns,
+               std::vector<Pose>& poses)
+      : links_(links), active_(active), poses_(poses), problem_(lent()) {
+    std::vector<char> present(poses.size(), 0);
+    for (const int k : active) present[links[k].i] = present[links[k].j] = 1;
+    for (size_t node = 0; node < poses.size(); ++node) {
+      if (!present[node]) continue;
+      problem_.AddParameterBlock(poses[node].data(), kPoseNumbers, &manifold_);
+      if (unknowns.of_node[node] < 0) problem_.SetParameterBlockConstant(poses[node].data());
     }
-    return rests;
+    for (const int k : active) {
+      const Link& link = links[k];
+      problem_.AddResidualBlock(new EdgeCost(link.i_from_j, link.information), link.loop ? &loss_ : nullptr,
+                                poses[link.i].data(), poses[link.j].data());
+    }
   }
 
-  // The marginal covariances of the unknowns at some poses.
-  std::vector<Matrix6d> covariances(const std::vector<Pose>& poses, double phi) {
-    linearise(poses, phi);
-    double damping = 0;
-    while (!system_.factorise(damping)) {
-      damping = std::max(1e-12, damping * 100);
-      IRIS_CHECK(damping < 1);
+  // Until the step is far below the uncertainty of the poses; phi falls from `phi` to `last_phi` on the way.
+  bool run(double phi, double last_phi, int max_iterations, const std::function<bool()>& stopped, int& iterations) {
+    constexpr double kRest = 0.5e-6;  // all poses together: a thousandth of a standard deviation
+    Watch watch(stopped);
+    watch.rest = kRest;
+    const double fall = std::min(1.0 / 8, std::pow(last_phi / phi, 1.0 / 6));
+    const int last = iterations + max_iterations;
+    for (;;) {
+      loss_.phi = phi;
+      watch.single_step = phi > last_phi;
+      const bool rests = minimise(problem_, near_the_minimum(ceres::SPARSE_NORMAL_CHOLESKY), watch,
+                                  std::max(1, last - iterations), iterations);
+      if (!watch.single_step) return rests;
+      // Loops below phi have their full say, whatever it is.
+      phi = std::max(last_phi, std::min(phi * fall, largest_loop()));
     }
-    return system_.inverse_diagonal();
   }
 
  private:
-  static constexpr double kRest = 1e-6;  // all poses together: a thousandth of a standard deviation
-
-  Eigen::VectorXd linearise(const std::vector<Pose>& poses, double phi) {
-    parallel_chunks(0, static_cast<int>(active_.size()), 128, [&](int begin, int end) {
-      for (int k = begin; k < end; ++k) {
-        const Link& link = links_[active_[k]];
-        const Vector6d residual = edge_residual(poses[link.i], poses[link.j], link.i_from_j);
-        const EdgeJacobians jacobians = edge_jacobians(poses[link.i], poses[link.j], residual);
-        const double weight = link.loop ? weight_of(residual.dot(link.information * residual), phi) : 1;
-        const Matrix6d weighted_i = weight * link.information * jacobians.by_i;
-        const Matrix6d weighted_j = weight * link.information * jacobians.by_j;
-        Linearised& part = parts_[k];
-        part.ii.noalias() = jacobians.by_i.transpose() * weighted_i;
-        part.jj.noalias() = jacobians.by_j.transpose() * weighted_j;
-        part.ij.noalias() = jacobians.by_i.transpose() * weighted_j;
-        part.gradient_i.noalias() = weighted_i.transpose() * residual;
-        part.gradient_j.noalias() = weighted_j.transpose() * residual;
-      }
-    });
-    Eigen::VectorXd gradient = Eigen::VectorXd::Zero(6 * unknowns_.count);
-    system_.set_zero();
-    for (size_t k = 0; k < active_.size(); ++k) {
-      const int i = unknowns_.of_node[links_[active_[k]].i], j = unknowns_.of_node[links_[active_[k]].j];
-      const Linearised& part = parts_[k];
-      if (i >= 0) {
-        system_.add(i, part.ii);
-        gradient.segment<6>(6 * i) += part.gradient_i;
-      }
-      if (j >= 0) {
-        system_.add(j, part.jj);
-        gradient.segment<6>(6 * j) += part.gradient_j;
-      }
-      system_.add_pair(static_cast<int>(k), part.ij);
+  double largest_loop() const {
+    double largest = 0;
+    for (const int k : active_) {
+      if (links_[k].loop) largest = std::max(largest, square_of(links_[k], poses_));
     }
-    return gradient;
-  }
-
-  std::vector<Pose> moved_by(const std::vector<Pose>& poses, const Eigen::VectorXd& step) const {
-    std::vector<Pose> moved = poses;
-    for (size_t node = 0; node < poses.size(); ++node) {
-      const int at = unknowns_.of_node[node];
-      if (at >= 0) moved[node] = screwed(poses[node], step.segment<6>(6 * at));
-    }
-    return moved;
+    return largest;
   }
 
   const std::vector<Link>& links_;
   std::vector<int> active_;
-  const Unknowns& unknowns_;
-  BlockCholesky<6> system_;
-  std::vector<Linearised> parts_;
+  const std::vector<Pose>& poses_;
+  PoseManifold manifold_;
+  LoopLoss loss_;
+  ceres::Problem problem_;
 };
+
+// The marginal covariances of the unknowns at some poses: blocks of the inverse of Gauss and Newton's matrix.
+std::vector<Matrix6d> covariances_of(const std::vector<Link>& links, const std::vector<int>& active,
+                                     const Unknowns& unknowns, const std::vector<Pose>& poses, double phi) {
+  struct Blocks {
+    Matrix6d ii, jj, ij;
+  };
+  std::vector<Blocks> parts(active.size());
+  parallel_chunks(0, static_cast<int>(active.size()), 128, [&](int begin, int end) {
+    for (int k = begin; k < end; ++k) {
+      const Link& link = links[active[k]];
+      const Vector6d residual = edge_residual(poses[link.i], poses[link.j], link.i_from_j);
+      const EdgeJacobians jacobians = edge_jacobians(poses[link.i], poses[link.j], residual);
+      const double weight = link.loop ? weight_of(residual.dot(link.information * residual), phi) : 1;
+      const Matrix6d weighted_i = weight * link.information * jacobians.by_i;
+      const Matrix6d weighted_j = weight * link.information * jacobians.by_j;
+      parts[k] = {jacobians.by_i.transpose() * weighted_i, jacobians.by_j.transpose() * weighted_j,
+                  jacobians.by_i.transpose() * weighted_j};
+    }
+  });
+  BlockCholesky<6> system(unknowns.count, pairs_of(links, active, unknowns));
+  for (size_t k = 0; k < active.size(); ++k) {
+    const int i = unknowns.of_node[links[active[k]].i], j = unknowns.of_node[links[active[k]].j];
+    if (i >= 0) system.add(i, parts[k].ii);
+    if (j >= 0) system.add(j, parts[k].jj);
+    system.add_pair(static_cast<int>(k), parts[k].ij);
+  }
+  system.factorise_nearly();
+  return system.inverse_diagonal();
+}
 
 double median(std::vector<double> values) {
   if (values.empty()) return 0;
@@ -542,14 +473,15 @@ struct Solution {
 // Minimises from given poses over the links that fit, leaves out loops that have no say (they cost time) and takes in
 // those that fit after all, until nothing changes.
 Solution settle(const std::vector<Link>& links, const std::vector<char>& inside, const Unknowns& unknowns,
-                std::vector<char> fits, std::vector<Pose> poses, double first_phi, const PoseGraphOptions& options) {
+                std::vector<char> fits, std::vector<Pose> poses, double first_phi, const PoseGraphOptions& options,
+                const std::function<bool()>& stopped) {
   const double phi = options.max_loop_error * options.max_loop_error;
   Solution solution{.poses = std::move(poses), .fits = std::move(fits)};
   constexpr int kMaxRounds = 3;
   for (int round = 0; round < kMaxRounds; ++round) {
-    Minimiser minimiser(links, indices_of(solution.fits), unknowns);
+    GraphProblem problem(links, indices_of(solution.fits), unknowns, solution.poses);
     solution.converged =
-        minimiser.run(solution.poses, round == 0 ? first_phi : phi, phi, options.max_iterations, solution.iterations);
+        problem.run(round == 0 ? first_phi : phi, phi, options.max_iterations, stopped, solution.iterations);
     solution.squares.assign(links.size(), std::numeric_limits<double>::infinity());
     solution.cost = 0;
     bool changed = false;
@@ -569,7 +501,7 @@ Solution settle(const std::vector<Link>& links, const std::vector<char>& inside,
 
 }  // namespace
 
-RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options) {
+RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options, const std::function<bool()>& stopped) {
   const int count = static_cast<int>(graph.nodes.size());
   const std::vector<Link> links = links_of(graph, options);
   const double phi = options.max_loop_error * options.max_loop_error;
@@ -614,10 +546,11 @@ RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options) {
     if (links[k].loop) of_loops.push_back(square_of(links[k], poses));
   }
   const double largest = of_loops.empty() ? 0 : *std::max_element(of_loops.begin(), of_loops.end());
-  Solution solution = settle(links, inside, unknowns, fits, poses, std::max(phi, largest), options);
+  Solution solution = settle(links, inside, unknowns, fits, poses, std::max(phi, largest), options, stopped);
   int iterations = solution.iterations;
   if (solution.fits != fits) {
-    Solution second = settle(links, inside, unknowns, fits, poses, std::max(phi, 4 * median(of_loops)), options);
+    Solution second =
+        settle(links, inside, unknowns, fits, poses, std::max(phi, 4 * median(of_loops)), options, stopped);
     iterations += second.iterations;
     if (second.cost < solution.cost) solution = std::move(second);
   }
@@ -628,7 +561,7 @@ RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options) {
     result.edge_weight.push_back(links[k].loop ? weight_of(solution.squares[k], phi) : 1);
   }
   const std::vector<Matrix6d> covariances =
-      Minimiser(links, indices_of(solution.fits), unknowns).covariances(solution.poses, phi);
+      covariances_of(links, indices_of(solution.fits), unknowns, solution.poses, phi);
   std::vector<int> order(sizes.size()), submap(sizes.size());
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return sizes[a] > sizes[b]; });

@@ -91,10 +91,10 @@ void stand_upright(workspace::RefinedPath& path, const StoredViews& views, const
 
 // Bundle adjustment of the refined path.
 void adjust(workspace::RefinedPath& path, const loop::RefinedGraph& refined, const StoredViews& views,
-            const Options& options) {
+            const Options& options, const RunControl& control) {
   const loop::BundleResult result = bundle(
       refined, views.frames(), [&](int frame_idx) { return views.load(frame_idx); }, views.camera(), options.bundle,
-      options.pose_graph, options.motion);
+      options.pose_graph, options.motion, [&] { return control.stopped(); });
   if (!result.ok) {
     spdlog::info("bundle adjustment: left out, {}", result.problem);
     return;
@@ -123,7 +123,7 @@ std::vector<std::string> run_loop(const Options& options, workspace::Workspace& 
     record_of_edge.push_back(i);
   }
 
-  const loop::RefinedGraph refined = loop::refine(graph, options.pose_graph);
+  const loop::RefinedGraph refined = loop::refine(graph, options.pose_graph, [&] { return control.stopped(); });
   int accepted = 0;
   for (size_t i = 0; i < record_of_edge.size(); ++i) {
     workspace::LoopRecord& record = path.loops[record_of_edge[i]];
@@ -141,7 +141,7 @@ std::vector<std::string> run_loop(const Options& options, workspace::Workspace& 
   path.nodes = refined.graph.nodes;
   for (size_t i = 0; i < path.nodes.size(); ++i) path.nodes[i].covariance = refined.covariance[i];
   path.camera = views.camera();
-  if (options.loop.enabled && options.loop.bundle) adjust(path, refined, views, options);
+  if (options.loop.enabled && options.loop.bundle) adjust(path, refined, views, options, control);
   stand_upright(path, views, options.alignment);
   workspace.set_refined(path);
   return {};

@@ -66,10 +66,12 @@ struct BundleResult {
 // left out. view_frames: frame_idx of the stored views, ascending, each a node. view: gives them; called from several
 // threads at once, for a view that takes part in loops again for each of them. Memory does not depend on their number
 // but for the points (about 100 kB a view). Odometry between successive views counts as well, with the errors that
-// `graph` lets expect: it knows the frames in between. The result is the same for any number of threads.
+// `graph` lets expect: it knows the frames in between. The result is the same for any number of threads. `stopped` is
+// asked now and then; true: Interrupted is thrown; may be empty.
 BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_frames,
                     const std::function<StereoView(int frame_idx)>& view, const RectifiedCamera& camera,
-                    const BundleOptions& options, const PoseGraphOptions& graph, const motion::ScsOptions& scs);
+                    const BundleOptions& options, const PoseGraphOptions& graph, const motion::ScsOptions& scs,
+                    const std::function<bool()>& stopped = {});
 
 // One observation: residual (x left, sqrt(2) y, x right) [px], predicted less seen, and its derivatives. `seen`:
 // reconstruct::image_coordinates of the measured point. calibration: disparity offset [px], focal part, roll [rad].

@@ -6,20 +6,10 @@
 #include <vector>
 
 #include "iris/loop/options.h"
+#include "iris/loop/twist.h"
 #include "iris/types/pose_graph.h"
 
 namespace iris::loop {
-
-// The covariance of (dt, dw), t' = t + dt, R' = exp(dw) R (as in MotionEstimate), as that of a twist (v, w) on the
-// left, pose' = exp(v, w) pose, and back.
-Matrix6d twist_covariance(const Pose& pose, const Matrix6d& covariance);
-Matrix6d motion_covariance(const Pose& pose, const Matrix6d& twist_covariance);
-
-// Takes a twist (v, w) given in frame a to frame b.
-Matrix6d adjoint(const Pose& b_from_a);
-
-// The twist whose exponential is the pose, to first order in v where w is small (rotation exact).
-Vector6d twist_of(const Pose& pose);
 
 // What odometry says about two nodes.
 struct RelativePose {

@@ -2,6 +2,7 @@
 // contradict the rest lose their weight. Closes the loops that the thesis leaves open (5.5, ch. 10).
 #pragma once
 
+#include <functional>
 #include <vector>
 
 #include "iris/core/options.h"
@@ -46,9 +47,10 @@ struct RefinedGraph {
 // M-estimator rho = phi (3 chi^2 - phi) / (phi + chi^2)).
 // Steps: loops that no drift of the odometry explains are left out at first; sub-maps are joined by the largest set of
 // mutually consistent loops between them; rotations, then translations are found in closed form (chordal relaxation:
-// two linear systems); Levenberg-Marquardt with phi falling to its value (graduated non-convexity); loops left out that
-// now fit are taken in again. All of it is deterministic. Edges must name nodes of the graph.
-RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options);
+// two linear systems); Ceres from there, with phi falling to its value (graduated non-convexity); loops left out that
+// now fit are taken in again. All of it is deterministic. Edges must name nodes of the graph. `stopped` is asked now
+// and then; true: Interrupted is thrown; may be empty.
+RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options, const std::function<bool()>& stopped = {});
 
 // The error of an edge, (dt, dw) in the measured motion's own perturbation: the predicted motion is the measured one
 // moved by it, t + dt, exp(dw) R.
@@ -58,10 +60,5 @@ struct EdgeJacobians {
   Matrix6d by_i, by_j;
 };
 EdgeJacobians edge_jacobians(const Pose& world_from_i, const Pose& world_from_j, const Vector6d& residual);
-
-// The pose after a step (dt, dw), made as a screw about the world's origin: a common step of many poses then moves them
-// as one rigid body, however large it is, and long chains bend without strain. To first order it is the plain
-// perturbation.
-Pose screwed(const Pose& pose, const Vector6d& step);
 
 }  // namespace iris::loop

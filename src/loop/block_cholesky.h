@@ -32,8 +32,8 @@ class BlockCholesky {
   // Factorises the matrix with its diagonal's entries times 1 + damping. False: it is not positive definite.
   bool factorise(double damping = 0);
 
-  // The diagonal's entries, block row after block row.
-  Eigen::VectorXd diagonal() const;
+  // Factorises the matrix, which is positive definite but for rounding: with the least damping that makes it so.
+  void factorise_nearly();
 
   // After factorise(): the solution for each column.
   Eigen::MatrixXd solve(const Eigen::MatrixXd& right_side) const;

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -84,7 +85,7 @@ std::vector<LegendEntry> layer_legend(const MapRaster& raster) {
   return legend;
 }
 
-std::vector<LegendEntry> path_legend(const PoseGraph& graph, int submap) {
+std::vector<LegendEntry> path_legend(const PoseGraph& graph, int submap, bool with_loops) {
   std::vector<LegendEntry> legend = {{kVermillion, "camera path", LegendEntry::Mark::line},
                                      {kGreen, "start", LegendEntry::Mark::dot},
                                      {kBlue, "end", LegendEntry::Mark::square}};
@@ -93,8 +94,38 @@ std::vector<LegendEntry> path_legend(const PoseGraph& graph, int submap) {
   const auto loops = std::count_if(graph.edges.begin(), graph.edges.end(), [&](const PoseEdge& edge) {
     return edge.kind == PoseEdgeKind::loop && submap_of_frame.at(edge.i) == submap;
   });
-  if (loops > 0) legend.push_back({kOrange, fmt::format("closed loops ({})", loops), LegendEntry::Mark::dashed});
+  if (with_loops && loops > 0)
+    legend.push_back({kOrange, fmt::format("closed loops ({})", loops), LegendEntry::Mark::dashed});
   return legend;
+}
+
+std::string submap_text(const PoseGraph& graph, int submap) {
+  std::map<int, int> poses;
+  for (const PoseNode& node : graph.nodes) ++poses[node.submap];
+  if (poses.size() < 2) return "";
+  return fmt::format("sub-map {} of {}: {} of {} poses", submap, poses.size(), poses[submap], graph.nodes.size());
+}
+
+MapExtent extent_of(const MapRaster& raster, const PoseGraph& graph, int submap) {
+  int left = raster.width, right = -1, top = raster.height, bottom = -1;
+  for (int y = 0; y < raster.height; ++y) {
+    for (int x = 0; x < raster.width; ++x) {
+      if (!raster.known(y, x)) continue;
+      left = std::min(left, x), right = std::max(right, x), top = std::min(top, y), bottom = std::max(bottom, y);
+    }
+  }
+  if (right < 0) left = top = 0, right = raster.width - 1, bottom = raster.height - 1;
+  MapExtent extent{.x0 = raster.x_of(left) - raster.cell / 2,
+                   .y0 = raster.y_of(bottom) - raster.cell / 2,
+                   .x1 = raster.x_of(right) + raster.cell / 2,
+                   .y1 = raster.y_of(top) + raster.cell / 2};
+  for (const PoseNode& node : graph.nodes) {
+    if (node.submap != submap) continue;
+    const Eigen::Vector3d& p = node.world_from_cam.translation();
+    extent.x0 = std::min(extent.x0, p.x()), extent.x1 = std::max(extent.x1, p.x());
+    extent.y0 = std::min(extent.y0, p.y()), extent.y1 = std::max(extent.y1, p.y());
+  }
+  return extent;
 }
 
 void draw_cells(Canvas& canvas, const MapPlace& place, const MapRaster& raster, const cv::Mat3b& cells) {
@@ -103,23 +134,26 @@ void draw_cells(Canvas& canvas, const MapPlace& place, const MapRaster& raster, 
   canvas.image(cells, corner.x(), corner.y(), w * place.units_per_metre, h * place.units_per_metre);
 }
 
-void draw_path(Canvas& canvas, const MapPlace& place, const PoseGraph& graph, int submap, double size) {
+void draw_path(Canvas& canvas, const MapPlace& place, const PoseGraph& graph, int submap, bool loops, double size) {
   std::vector<Eigen::Vector2d> path;
+  Eigen::AlignedBox2d box;
   std::map<int, Eigen::Vector2d> position_of_frame;
   for (const PoseNode& node : graph.nodes) {
     if (node.submap != submap) continue;
     path.push_back(place.at(node.world_from_cam.translation().x(), node.world_from_cam.translation().y()));
     position_of_frame[node.frame_idx] = path.back();
+    box.extend(path.back());
   }
   if (path.empty()) return;
   for (const PoseEdge& edge : graph.edges) {
-    if (edge.kind != PoseEdgeKind::loop || !position_of_frame.contains(edge.i)) continue;
+    if (!loops || edge.kind != PoseEdgeKind::loop || !position_of_frame.contains(edge.i)) continue;
     canvas.line({position_of_frame.at(edge.i), position_of_frame.at(edge.j)}, kOrange, 0.1 * size, true);
   }
-  canvas.line(path, kVermillion, 0.16 * size);
-  const double r = 0.45 * size;
+  const double r = std::clamp(box.diagonal().norm() / 8, 0.2 * size, 0.5 * size);
+  canvas.line(path, kVermillion, std::min(0.16 * size, 0.5 * r));
   canvas.dot(path.front(), r, kGreen);
-  canvas.box(path.back().x() - 0.9 * r, path.back().y() - 0.9 * r, 1.8 * r, 1.8 * r, kBlue);
+  const double half = 0.6 * r;
+  canvas.box(path.back().x() - half, path.back().y() - half, 2 * half, 2 * half, kBlue);
 }
 
 void draw_axes(Canvas& canvas, const MapPlace& place, const cv::Rect2d& box, double step, bool lines, double size) {
@@ -143,6 +177,8 @@ void draw_axes(Canvas& canvas, const MapPlace& place, const cv::Rect2d& box, dou
     canvas.text(box.x - 1.5 * tick, row + 0.35 * size, label(i * step), {.size = size, .anchor = Anchor::end});
   }
   canvas.frame(box.x, box.y, box.width, box.height, kInk, 0.1 * size);
+  canvas.text(right, bottom + tick + 2.4 * size, "x [m]", {.size = size, .anchor = Anchor::end});
+  canvas.text(box.x - 2.6 * size, box.y, "y [m]", {.size = size, .anchor = Anchor::end, .turned = true});
 }
 
 double draw_legend(Canvas& canvas, double x, double y, const std::vector<LegendEntry>& entries, double size) {
@@ -160,10 +196,10 @@ double draw_legend(Canvas& canvas, double x, double y, const std::vector<LegendE
                     entry.mark == LegendEntry::Mark::dashed);
         break;
       case LegendEntry::Mark::dot:
-        canvas.dot({x + wide / 2, row - middle}, 0.45 * size, entry.colour);
+        canvas.dot({x + wide / 2, row - middle}, 0.5 * size, entry.colour);
         break;
       case LegendEntry::Mark::square:
-        canvas.box(x + wide / 2 - 0.4 * size, row - middle - 0.4 * size, 0.8 * size, 0.8 * size, entry.colour);
+        canvas.box(x + wide / 2 - 0.3 * size, row - middle - 0.3 * size, 0.6 * size, 0.6 * size, entry.colour);
         break;
     }
     canvas.text(x + 1.45 * wide, row, entry.text, {.size = size});

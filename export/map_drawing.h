@@ -30,7 +30,17 @@ struct LegendEntry {
 std::vector<LegendEntry> grey_legend();
 std::vector<LegendEntry> layer_legend(const mapping::MapRaster& raster);
 // Of what draw_path draws.
-std::vector<LegendEntry> path_legend(const PoseGraph& graph, int submap);
+std::vector<LegendEntry> path_legend(const PoseGraph& graph, int submap, bool loops);
+// Empty, or which sub-map of several this is: "sub-map 0 of 3: 240 of 325 poses".
+std::string submap_text(const PoseGraph& graph, int submap);
+
+// The part of the world that a picture must show [m]: known cells, whole ones, and the path.
+struct MapExtent {
+  double x0 = 0, y0 = 0, x1 = 0, y1 = 0;
+  double width() const { return x1 - x0; }
+  double height() const { return y1 - y0; }
+};
+MapExtent extent_of(const mapping::MapRaster& raster, const PoseGraph& graph, int submap);
 
 // Where the world lies on a canvas.
 struct MapPlace {
@@ -44,9 +54,11 @@ struct MapPlace {
 
 // `size`: [units] of small text; everything else is drawn in proportion to it.
 void draw_cells(Canvas& canvas, const MapPlace& place, const mapping::MapRaster& raster, const cv::Mat3b& cells);
-// The poses of one sub-map in the order of their frames, its loops, its start and its end.
-void draw_path(Canvas& canvas, const MapPlace& place, const PoseGraph& graph, int submap, double size);
-// Numbers along the lower and the left border of the box, lines across it if asked for; a line each `step` metres.
+// The poses of one sub-map in the order of their frames, its loops if asked for, its start and its end. Both can be
+// seen where they coincide; their marks are small where the path is.
+void draw_path(Canvas& canvas, const MapPlace& place, const PoseGraph& graph, int submap, bool loops, double size);
+// Names and numbers along the lower and the left border of the box, lines across it if asked for; a line each `step`
+// metres. They take 3.5 `size` on both sides.
 void draw_axes(Canvas& canvas, const MapPlace& place, const cv::Rect2d& box, double step, bool lines, double size);
 // Returns the height it takes.
 double draw_legend(Canvas& canvas, double x, double y, const std::vector<LegendEntry>& entries, double size);

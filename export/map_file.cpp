@@ -91,28 +91,42 @@ std::string world_file_of(const MapRaster& raster) {
   return fmt::format("{}\n0\n0\n{}\n{}\n{}\n", raster.cell, -raster.cell, raster.x_of(0), raster.y_of(0));
 }
 
-// The cells enlarged, with the path, axes in metres, a scale bar and a legend on the right.
+// Pixels a cell of the pictures for people: as many as fit, whole ones; below one in the largest maps.
+double zoom_of(double longest_side) {               // [cells]
+  constexpr double kUsual = 1300, kLargest = 4000;  // [px]
+  if (longest_side <= kLargest) return std::clamp(std::floor(kUsual / longest_side), 1.0, 16.0);
+  return 1 / std::ceil(longest_side / kLargest);
+}
+
+// The known cells enlarged, with the path, axes in metres, a scale bar and a legend on the right.
 void write_picture(const std::filesystem::path& path, const MapRaster& raster, const cv::Mat3b& cells,
                    const PoseGraph& graph, int submap, std::vector<LegendEntry> legend) {
-  constexpr double kText = 13, kLeft = 60, kTop = 34, kBottom = 60, kRight = 260;  // [px]
-  const int zoom = std::clamp(1000 / std::max(raster.width, raster.height), 1, 16);
-  for (LegendEntry& entry : path_legend(graph, submap)) legend.push_back(std::move(entry));
-  const cv::Rect2d box(kLeft, kTop, raster.width * zoom, raster.height * zoom);
-  const double tall = std::max(box.height, 2 * kText * static_cast<double>(legend.size() + 3));
-  const MapPlace place{.left = box.x,
-                       .bottom = box.y + box.height,
-                       .x = raster.origin_x,
-                       .y = raster.origin_y,
-                       .units_per_metre = zoom / raster.cell};
+  constexpr double kText = 13, kLeft = 64, kTop = 20, kBottom = 78, kRight = 260, kLeast = 320;  // [px]
+  for (LegendEntry& entry : path_legend(graph, submap, true)) legend.push_back(std::move(entry));
+  MapExtent extent = extent_of(raster, graph, submap);
+  const double margin = 2 * raster.cell;
+  extent.x0 -= margin, extent.y0 -= margin, extent.x1 += margin, extent.y1 += margin;
+  const double scale = zoom_of(std::max(extent.width(), extent.height()) / raster.cell) / raster.cell;  // [px/m]
+  const cv::Rect2d box(kLeft, kTop, std::max(kLeast, extent.width() * scale), extent.height() * scale);
+  const double tall = std::max(box.height, 1.65 * kText * static_cast<double>(legend.size()) + 5 * kText);
+  const MapPlace place{
+      .left = box.x, .bottom = box.y + box.height, .x = extent.x0, .y = extent.y0, .units_per_metre = scale};
   const auto canvas = png_canvas(kLeft + box.width + kRight, kTop + tall + kBottom, 1);
+  canvas->box(box.x, box.y, box.width, box.height, kUnknownCell);
+  canvas->clip(box.x, box.y, box.width, box.height);
   draw_cells(*canvas, place, raster, cells);
-  draw_axes(*canvas, place, box, round_step(80 / place.units_per_metre), false, kText);
-  draw_path(*canvas, place, graph, submap, kText);
-  canvas->text(box.x, box.y + box.height + 48, "x [m], y [m] upwards; world frame, z up, seen from above",
-               {.size = kText});
+  draw_path(*canvas, place, graph, submap, true, kText);
+  canvas->unclip();
+  draw_axes(*canvas, place, box, round_step(80 / scale), false, kText);
+  std::string caption = "world frame, z up, seen from above";
+  if (const std::string text = submap_text(graph, submap); !text.empty()) caption += "; " + text;
+  canvas->text(box.x, box.y + box.height + 60, caption, {.size = kText});
   const double left = box.x + box.width + 20;
   const double row = box.y + draw_legend(*canvas, left, box.y, legend, kText) + kText;
-  draw_scale_bar(*canvas, left, row, round_step(60 / place.units_per_metre), place.units_per_metre, kText);
+  // Four parts, 100 to 200 px together.
+  double length = round_step(100 / scale);
+  if (2 * length * scale <= 200) length *= 2;
+  draw_scale_bar(*canvas, left + 4, row, length, scale, kText);
   canvas->text(left, row + 4 * kText, fmt::format("cell {:g} m", raster.cell), {.size = kText});
   write_file(path, canvas->bytes());
 }

@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <opencv2/imgcodecs.hpp>
 
+#include "export/map_drawing.h"
 #include "export/trajectory_file.h"
 #include "export/video_file.h"
 #include "iris/core/atomic_file.h"
@@ -81,15 +82,26 @@ SheetFacts facts_of(const Workspace& workspace, const mapping::MapRaster& raster
   const std::time_t seconds = begin_ns / 1'000'000'000;
   const bool dated = seconds > kYear2000;
   facts.date = fmt::format("{:%Y-%m-%dT%H:%M:%SZ}", fmt::gmtime(dated ? seconds : 0));
+  std::string closing = "no loop was closed";
+  if (const auto error = closing_error(workspace.pose_graph(Poses::odometry), graph, submap)) {
+    closing = fmt::format("{:.3f} m, {:.2f} % of {:.1f} m as chained, {} loop{}", error->error,
+                          100 * error->error / std::max(error->way, 1e-9), error->way, error->loops,
+                          error->loops == 1 ? "" : "s");
+  }
   facts.lines = {
+      {"Session", facts.title},
       {"Recorded", dated ? fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(seconds)) : "date not recorded"},
       {"Camera", fmt::format("{} x {} px, f {:.0f} px, base {:.0f} mm", camera.width, camera.height, camera.f,
                              1000 * camera.baseline)},
       {"Path", fmt::format("{:.2f} m, {} poses", length, poses)},
+      {"Closing error", closing},
       {"Explored", fmt::format("{:.1f} m\u00b2", cell_area * cv::countNonZero(raster.known))},
       {"Occupied", fmt::format("{:.1f} m\u00b2", cell_area * occupied)},
       {"Software", "IRIS " IRIS_VERSION},
   };
+  if (const std::string text = submap_text(graph, submap); !text.empty()) {
+    facts.lines.insert(facts.lines.end() - 1, {"Of the path", text});
+  }
   return facts;
 }
 

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "export/map_drawing.h"
 #include "iris/core/atomic_file.h"
@@ -16,8 +17,8 @@ using mapping::MapRaster;
 
 // All lengths on paper in millimetres.
 constexpr double kMargin = 8;  // around everything: what office printers can do
-constexpr double kAxis = 9;    // for numbers on the left of the map and below it
-constexpr double kBlock = 44;  // height of the title block
+constexpr double kAxis = 10;   // for numbers on the left of the map and below it
+constexpr double kBlock = 50;  // height of the title block
 constexpr double kGap = 3;     // between map and title block
 constexpr double kText = 2.6;  // fonts
 constexpr double kTitle = 5;
@@ -36,66 +37,51 @@ Paper paper_of(const std::string& name, bool landscape) {
   return landscape ? Paper{portrait.height, portrait.width} : portrait;
 }
 
-// The part of the world that the sheet must show [m]: known cells and the path.
-struct Extent {
-  double x0 = 0, y0 = 0, x1 = 0, y1 = 0;
-  double width() const { return x1 - x0; }
-  double height() const { return y1 - y0; }
-};
-
-Extent extent_of(const MapRaster& raster, const PoseGraph& graph, int submap) {
-  int left = raster.width, right = -1, top = raster.height, bottom = -1;
-  for (int y = 0; y < raster.height; ++y) {
-    for (int x = 0; x < raster.width; ++x) {
-      if (!raster.known(y, x)) continue;
-      left = std::min(left, x), right = std::max(right, x), top = std::min(top, y), bottom = std::max(bottom, y);
-    }
-  }
-  if (right < 0) left = top = 0, right = raster.width - 1, bottom = raster.height - 1;
-  Extent extent{.x0 = raster.x_of(left) - raster.cell / 2,
-                .y0 = raster.y_of(bottom) - raster.cell / 2,
-                .x1 = raster.x_of(right) + raster.cell / 2,
-                .y1 = raster.y_of(top) + raster.cell / 2};
-  for (const PoseNode& node : graph.nodes) {
-    if (node.submap != submap) continue;
-    const Eigen::Vector3d& p = node.world_from_cam.translation();
-    extent.x0 = std::min(extent.x0, p.x()), extent.x1 = std::max(extent.x1, p.x());
-    extent.y0 = std::min(extent.y0, p.y()), extent.y1 = std::max(extent.y1, p.y());
-  }
-  return extent;
-}
-
 // 1 : this is the largest scale at which the extent fits.
-double least_denominator(const Extent& extent, const Paper& paper) {
+double least_denominator(const MapExtent& extent, const Paper& paper) {
   const cv::Rect2d box = paper.map_box();
   return 1000 * std::max(extent.width() / box.width, extent.height() / box.height);
 }
 
-// The scales of maps and plans: 1, 2, 2.5 or 5 times a power of ten.
+// The scales of rulers for plans: 1, 1.25, 2, 2.5, 5 or 7.5 times a power of ten.
 int round_denominator(double least) {
   for (double power = 10;; power *= 10) {
-    for (const double step : {1.0, 2.0, 2.5, 5.0}) {
-      if (step * power >= least * (1 - 1e-9)) return static_cast<int>(std::lround(step * power));
+    for (const double step : {1.0, 1.25, 2.0, 2.5, 5.0, 7.5}) {
+      const double denominator = step * power;
+      if (denominator == std::floor(denominator) && denominator >= least * (1 - 1e-9)) {
+        return static_cast<int>(denominator);
+      }
     }
   }
 }
 
-void draw_title_block(Canvas& canvas, const cv::Rect2d& box, const std::string& title, const SheetFacts& facts,
+// The size at which a text fits into a width; letters are at most this wide on average.
+double fitting(double size, const std::string& text, double width, bool bold = false) {
+  const double letter = bold ? 0.68 : 0.58;  // [sizes] of DejaVu Sans, the widest of the usual fonts
+  return std::min(size, width / (letter * static_cast<double>(std::max<size_t>(1, text.size()))));
+}
+
+void draw_title_block(Canvas& canvas, const cv::Rect2d& box, const std::string& title,
+                      const std::vector<std::pair<std::string, std::string>>& lines,
                       const std::vector<LegendEntry>& legend, int scale, double cell, double grid_step) {
   canvas.frame(box.x, box.y, box.width, box.height, kInk, 0.35);
   const double legend_width = 44, facts_width = box.width - 2 * legend_width;
   const double second = box.x + facts_width, third = second + legend_width;
   for (const double x : {second, third}) canvas.line({{x, box.y}, {x, box.y + box.height}}, kInk, 0.2);
 
-  canvas.text(box.x + 3, box.y + 7, title, {.size = kTitle, .bold = true});
+  canvas.text(box.x + 3, box.y + 7, title, {.size = fitting(kTitle, title, facts_width - 6, true), .bold = true});
   double row = box.y + 13;
-  for (const auto& [name, value] : facts.lines) {
-    canvas.text(box.x + 3, row, name, {.size = kText, .colour = 0x606060});
-    canvas.text(box.x + 25, row, value, {.size = kText});
-    row += 1.5 * kText;
+  const double pitch =
+      std::min(1.5 * kText, (box.height - 14) / static_cast<double>(std::max<size_t>(1, lines.size())));
+  for (const auto& [name, value] : lines) {
+    const double size = std::min(kText, pitch / 1.2);
+    canvas.text(box.x + 3, row, name, {.size = size, .colour = 0x606060});
+    canvas.text(box.x + 26, row, value, {.size = fitting(size, value, facts_width - 28)});
+    row += pitch;
   }
 
-  draw_legend(canvas, second + 3, box.y + 3, legend, kText);
+  const double legend_size = std::min(kText, (box.height - 6) / (1.65 * static_cast<double>(legend.size())));
+  draw_legend(canvas, second + 3, box.y + 3, legend, legend_size);
 
   const double units = 1000.0 / scale;  // [mm / m]
   double length = round_step(0.25 * (legend_width - 10) / units);
@@ -121,13 +107,47 @@ void SheetOptions::declare(OptionSet& set) {
   set.add("scale", scale, "", 0, 1000000, "1 : scale; 0 = the largest round one at which the map fits");
   set.add("cells", cells, {"grey", "heights"}, "cells in grey as in the thesis, or in the colour of their height");
   set.add("grid", grid, "draw a metre grid over the map");
-  set.add("path", path, "draw the camera path and its loops over the map");
+  set.add("path", path, "draw the camera path over the map");
+  set.add("loops", loops, "and the closed loops of the path");
   set.add("title", title, {}, "title of the sheet; empty = the session's name");
+  set.add("note", note, {}, "a line of your own in the title block, as who made the sheet and for what");
+}
+
+std::optional<ClosingError> closing_error(const PoseGraph& odometry, const PoseGraph& refined, int submap) {
+  std::map<int, const PoseNode*> chained;
+  std::map<int, double> way;  // [m] to each frame, from the first of its chained sub-map
+  const PoseNode* last = nullptr;
+  for (const PoseNode& node : odometry.nodes) {
+    const bool goes_on = last && last->submap == node.submap;
+    way[node.frame_idx] =
+        goes_on ? way[last->frame_idx] + (node.world_from_cam.translation() - last->world_from_cam.translation()).norm()
+                : 0;
+    chained[node.frame_idx] = last = &node;
+  }
+  std::map<int, int> submap_of_frame;
+  for (const PoseNode& node : refined.nodes) submap_of_frame[node.frame_idx] = node.submap;
+  std::optional<ClosingError> result;
+  int loops = 0;
+  for (const PoseEdge& edge : refined.edges) {
+    if (edge.kind != PoseEdgeKind::loop || submap_of_frame.at(edge.i) != submap) continue;
+    ++loops;
+    const PoseNode &i = *chained.at(edge.i), &j = *chained.at(edge.j);
+    if (i.submap != j.submap) continue;
+    const double between = std::abs(way.at(edge.j) - way.at(edge.i));
+    if (result && between <= result->way) continue;
+    const Pose i_from_j = i.world_from_cam.inverse() * j.world_from_cam;
+    result = ClosingError{.i = edge.i,
+                          .j = edge.j,
+                          .error = (i_from_j.translation() - edge.i_from_j.translation()).norm(),
+                          .way = between};
+  }
+  if (result) result->loops = loops;
+  return result;
 }
 
 void write_sheet(const std::filesystem::path& folder, const MapRaster& raster, const PoseGraph& graph, int submap,
                  const SheetFacts& facts, const SheetOptions& options) {
-  const Extent extent = extent_of(raster, graph, submap);
+  const MapExtent extent = extent_of(raster, graph, submap);
   const Paper upright = paper_of(options.paper, false), across = paper_of(options.paper, true);
   bool landscape = options.orientation == "landscape";
   if (options.orientation == "auto") {
@@ -156,11 +176,13 @@ void write_sheet(const std::filesystem::path& folder, const MapRaster& raster, c
   const cv::Mat3b cells = heights ? layer_cells(raster) : grey_cells(raster);
   std::vector<LegendEntry> legend = heights ? layer_legend(raster) : grey_legend();
   if (options.path) {
-    const std::vector<LegendEntry> more = path_legend(graph, submap);
+    const std::vector<LegendEntry> more = path_legend(graph, submap, options.loops);
     legend.insert(legend.end(), more.begin(), more.end());
   }
   const std::string title = options.title.empty() ? facts.title : options.title;
   const double grid_step = round_step(12 / units);
+  std::vector<std::pair<std::string, std::string>> lines = facts.lines;
+  if (!options.note.empty()) lines.insert(lines.begin(), {"Note", options.note});
 
   const auto draw = [&](Canvas& canvas) {
     canvas.box(box.x, box.y, box.width, box.height, kUnknownCell);
@@ -170,11 +192,11 @@ void write_sheet(const std::filesystem::path& folder, const MapRaster& raster, c
     draw_axes(canvas, place, box, grid_step, options.grid, kText);
     if (options.path) {
       canvas.clip(box.x, box.y, box.width, box.height);
-      draw_path(canvas, place, graph, submap, kText);
+      draw_path(canvas, place, graph, submap, options.loops, kText);
       canvas.unclip();
     }
     draw_title_block(canvas, {kMargin, paper.height - kMargin - kBlock, paper.width - 2 * kMargin, kBlock}, title,
-                     facts, legend, scale, raster.cell, grid_step);
+                     lines, legend, scale, raster.cell, grid_step);
     return canvas.bytes();
   };
   write_file(folder / "sheet.pdf", draw(*pdf_canvas(paper.width, paper.height, title, facts.date)));

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -18,8 +19,10 @@ struct SheetOptions {
   int scale = 0;                     // 1 : scale; 0 = the largest round one at which the map fits
   std::string cells = "grey";        // grey or heights: how cells are coloured
   bool grid = true;                  // metre grid
-  bool path = true;                  // camera path and loops
+  bool path = true;                  // camera path
+  bool loops = true;                 // and its loops
   std::string title;                 // empty = the session's name
+  std::string note;                  // a line of one's own in the title block
 
   void declare(OptionSet& set);
 };
@@ -30,6 +33,17 @@ struct SheetFacts {
   std::string date;   // of the recording, as 2003-07-01T12:00:00Z
   std::vector<std::pair<std::string, std::string>> lines;
 };
+
+// By how much the path misses itself before loops are closed, as surveyors give it: of the loop with the longest way
+// between its ends, how far apart the chained motions and the loop see its end.
+struct ClosingError {
+  int i = 0, j = 0;  // frames of the loop
+  double error = 0;  // [m]
+  double way = 0;    // [m] along the path between the frames
+  int loops = 0;     // all of the sub-map
+};
+// Nothing if no loop of the refined graph lies within one sub-map of the chained one.
+std::optional<ClosingError> closing_error(const PoseGraph& odometry, const PoseGraph& refined, int submap);
 
 // Writes sheet.pdf, sheet.svg and sheet.png (200 dpi) into `folder`, the same drawing in each; the same input gives the
 // same bytes. `submap`: which poses of `graph` belong to the map. Throws InputError if a file cannot be written, or if

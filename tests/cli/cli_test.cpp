@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include <chrono>
+#include <cstdlib>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
@@ -117,6 +118,19 @@ TEST_F(Cli, RunWritesEveryProduct) {
     EXPECT_TRUE(fs::exists(reference() / file)) << file;
   }
   EXPECT_THAT(read_file(reference() / "log.txt"), HasSubstr("14 of 14 frames have a pose"));  // although it ran quietly
+}
+
+TEST_F(Cli, TheSheetSaysWhatWasRecordedAndHowWell) {
+  const fs::path text = fresh("sheet.txt");
+  ASSERT_EQ(
+      std::system(("pdftotext -layout " + (reference() / "map/sheet.pdf").string() + " " + text.string()).c_str()), 0);
+  const std::string sheet = read_file(text);
+  for (const char* line :
+       {"Session +session", "Recorded +date not recorded", "Camera +320 x 240 px, f 260 px, base 100 mm",
+        "Path +0\\.[0-9]+ m, 14 poses", "Closing error +no loop was closed", "Explored +[0-9.]+ m²",
+        "Occupied +[0-9.]+ m²", "Software +IRIS [0-9]", "1 : [0-9]+", "map cell 0.05 m"}) {
+    EXPECT_THAT(sheet, ::testing::ContainsRegex(line));
+  }
 }
 
 TEST_F(Cli, ThePathIsTheSimulatedOne) {

@@ -8,6 +8,7 @@
 #include <fstream>
 #include <map>
 #include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
 #include <sstream>
 
 #include "iris/core/atomic_file.h"
@@ -215,6 +216,27 @@ TEST_F(MapFileTest, WorldFileGivesTheCentresOfThePixels) {
     EXPECT_NEAR(d * column + e * row + f, raster_.y_of(row), 1e-12);
   }
   EXPECT_NEAR(raster_.y_of(4) - 0.025, raster_.origin_y, 1e-12);
+  // A corner that is known: the wall of a room ends at x = 2.27 m, y = 1.61 m. The picture's pixel there lies, by the
+  // world file, within half a cell.
+  const RectifiedCamera camera{.f = 200, .cx = 159.5, .cy = 119.5, .baseline = 0.6, .width = 320, .height = 240};
+  const mapping::FlogOptions options{.layers = 1, .bottom = -1.0, .height = 2};
+  mapping::FlogBuilder builder(options, camera);
+  for (const double yaw : {0.3, 0.62, 0.95}) {
+    builder.add(iris::testing::view_of({}, camera, iris::testing::level_camera({yaw / 4, 0, 0}, yaw)));
+  }
+  const MapRaster room = mapping::rasterise(builder.map(), options);
+  write_map(folder_, room, {}, {}, 0, {});
+  std::istringstream of_room(read_file(folder_ / "map.pgw"));
+  ASSERT_TRUE(of_room >> a >> d >> b >> e >> c >> f);
+  const cv::Mat1b picture = cv::imread((folder_ / "map.pgm").string(), cv::IMREAD_UNCHANGED);
+  // The walls: the column and the row with most occupied pixels.
+  cv::Mat1i columns, rows;
+  cv::reduce(picture == 0, columns, 0, cv::REDUCE_SUM, CV_32S),
+      cv::reduce(picture == 0, rows, 1, cv::REDUCE_SUM, CV_32S);
+  cv::Point right, upper;
+  cv::minMaxLoc(columns, nullptr, nullptr, nullptr, &right), cv::minMaxLoc(rows, nullptr, nullptr, nullptr, &upper);
+  EXPECT_NEAR(a * right.x + b * upper.y + c, 2.27, 0.5 * room.cell);
+  EXPECT_NEAR(d * right.x + e * upper.y + f, 1.61, 0.5 * room.cell);
 }
 
 TEST_F(MapFileTest, PictureTellsUnknownFromFreeAndOccupied) {
@@ -245,18 +267,48 @@ TEST_F(MapFileTest, DecoratedPicturesShowPathStartAndEndOfTheSubmap) {
   stray.world_from_cam.translation() << 500, 500, 0;
   graph_.nodes.push_back(stray);
   write_map(folder_, raster_, {}, graph_, 0, {});
+  // The known cells are those of columns 0 to 6 and rows 1 to 4 from above; two cells around them, 16-fold, 64 px to
+  // the left and 20 above.
+  const double left = raster_.origin_x - 0.1, top = raster_.origin_y + 4 * 0.05 + 0.1;
   for (const char* name : {"map_picture.png", "layers.png"}) {
     const cv::Mat3b picture = cv::imread((folder_ / name).string());
     ASSERT_FALSE(picture.empty());
-    // 16-fold, 60 px to the left and 34 above: the path's start is at cell (1.0, 1.33) from below.
     const auto at = [&](const Eigen::Vector3d& p) {
-      return picture(34 + static_cast<int>(80 - (p.y() - raster_.origin_y) / 0.05 * 16),
-                     60 + static_cast<int>((p.x() - raster_.origin_x) / 0.05 * 16));
+      return picture(20 + static_cast<int>((top - p.y()) / 0.05 * 16),
+                     64 + static_cast<int>((p.x() - left) / 0.05 * 16));
     };
-    EXPECT_EQ(at(graph_.nodes[0].world_from_cam.translation()), cv::Vec3b(115, 158, 0));
-    EXPECT_EQ(at(graph_.nodes[1].world_from_cam.translation()), cv::Vec3b(0, 94, 213));
-    EXPECT_EQ(at(graph_.nodes[2].world_from_cam.translation()), cv::Vec3b(178, 114, 0));
+    EXPECT_EQ(at(graph_.nodes[0].world_from_cam.translation()), cv::Vec3b(115, 158, 0)) << name;
+    EXPECT_EQ(at(graph_.nodes[1].world_from_cam.translation()), cv::Vec3b(0, 94, 213)) << name;
+    EXPECT_EQ(at(graph_.nodes[2].world_from_cam.translation()), cv::Vec3b(178, 114, 0)) << name;
   }
+  // An end that lies on the start leaves a ring of it.
+  graph_.nodes[2].world_from_cam = graph_.nodes[0].world_from_cam;
+  write_map(folder_, raster_, {}, graph_, 0, {});
+  const cv::Mat3b picture = cv::imread((folder_ / "map_picture.png").string());
+  cv::Mat1b green, blue;
+  cv::inRange(picture(cv::Rect(64, 20, 170, 120)), cv::Scalar(115, 158, 0), cv::Scalar(115, 158, 0), green);
+  cv::inRange(picture(cv::Rect(64, 20, 170, 120)), cv::Scalar(178, 114, 0), cv::Scalar(178, 114, 0), blue);
+  EXPECT_GT(cv::countNonZero(green), 5);
+  EXPECT_GT(cv::countNonZero(blue), 10);
+}
+
+// Of unknown surroundings nothing is shown but a margin; small maps are enlarged, large ones are not larger than a
+// screen needs.
+TEST_F(MapFileTest, PicturesShowWhatIsKnown) {
+  const auto size_of = [&](int width, int height, const cv::Rect& known) {
+    raster_.width = width, raster_.height = height;
+    raster_.U = cv::Mat1f::zeros(height, width);
+    raster_.known = raster_.state = cv::Mat1b::zeros(height, width);
+    raster_.known = raster_.state.clone();
+    raster_.known(known) = 1, raster_.state(known) = 1;
+    for (cv::Mat1f& layer : raster_.layer_U) layer = cv::Mat1f::zeros(height, width);
+    write_map(folder_, raster_, {}, {}, 0, {});
+    const cv::Size size = cv::imread((folder_ / "map_picture.png").string()).size();
+    return cv::Size(size.width - 64 - 260, size.height - 20 - 78);
+  };
+  EXPECT_EQ(size_of(2000, 1000, {600, 300, 126, 76}), cv::Size(130 * 10, 80 * 10));
+  EXPECT_EQ(size_of(1600, 1000, {0, 0, 1596, 996}), cv::Size(1600, 1000));
+  EXPECT_EQ(size_of(9000, 3000, {0, 0, 8996, 2996}), cv::Size(3000, 1000));
 }
 
 TEST_F(MapFileTest, WritesTheSameBytesAgainAndWorksWithoutAPath) {

@@ -4,9 +4,11 @@
 #include <gtest/gtest.h>
 
 #include <array>
+#include <cmath>
 #include <cstdio>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <tuple>
 
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
@@ -69,9 +71,9 @@ int count(const cv::Mat3b& picture, const cv::Rect& where, const cv::Vec3b& colo
 cv::Rect dark_room(const cv::Mat3b& sheet, double pixels_per_mm, double width_mm, double height_mm) {
   cv::Mat1b dark;
   cv::inRange(sheet, cv::Scalar::all(0), cv::Scalar::all(10), dark);  // cells are black, ink is not quite
-  const cv::Rect inside(static_cast<int>(18 * pixels_per_mm), static_cast<int>(9 * pixels_per_mm),
-                        static_cast<int>((width_mm - 27) * pixels_per_mm),
-                        static_cast<int>((height_mm - 76) * pixels_per_mm));
+  const cv::Rect inside(static_cast<int>(19 * pixels_per_mm), static_cast<int>(9 * pixels_per_mm),
+                        static_cast<int>((width_mm - 28) * pixels_per_mm),
+                        static_cast<int>((height_mm - 81) * pixels_per_mm));
   cv::Rect room = cv::boundingRect(dark(inside));
   return room + inside.tl();
 }
@@ -99,25 +101,112 @@ TEST(SheetFile, IsTrueToItsScale) {
 
 // The bar has ink in its first and third quarter and along its edges: its length is the extent of ink in a row through
 // the middle of the bar.
+double bar_length(const cv::Mat3b& page, double pixels_per_mm, double width_mm, double height_mm) {
+  // Title block: 50 mm high, 8 mm from the border; bar: 11 mm + 1.5 text heights below its top, a third of it deeper.
+  const int row = static_cast<int>((height_mm - 8 - 50 + 11 + 1.5 * 2.6 + 0.35 * 2.6) * pixels_per_mm);
+  const int from = static_cast<int>((width_mm - 8 - 44 + 2) * pixels_per_mm),
+            to = static_cast<int>((width_mm - 8 - 1) * pixels_per_mm);
+  int first = -1, last = -1;
+  for (int x = from; x < to; ++x) {
+    if (page(row, x)[0] > 128) continue;
+    if (first < 0) first = x;
+    last = x;
+  }
+  return (last - first + 1) / pixels_per_mm - 0.2;  // [mm] without the width of the line
+}
+
 TEST(SheetFile, TheScaleBarIsAsLongAsItSays) {
   const TemporaryFolder folder;
   write_sheet(folder.path(), room(8, 6), {}, 0, kFacts, {});
   EXPECT_THAT(read_file(folder.path() / "sheet.svg"), HasSubstr(">1 : 50</text>"));
   EXPECT_THAT(read_file(folder.path() / "sheet.svg"), HasSubstr(">1 m</text>"));
+  // 1 m at 1 : 50. A pixel of the PNG is 0.13 mm.
+  const cv::Mat3b png = cv::imread((folder.path() / "sheet.png").string());
+  EXPECT_NEAR(bar_length(png, 200 / 25.4, 297, 210), 20, 0.1 + 0.005 * 20);
+  // Right to 0.5 % on every paper, by another program that has pixels fine enough.
+  for (const auto& [paper, width, height] : {std::tuple("a4", 297, 210.0), std::tuple("a3", 420, 297.0)}) {
+    write_sheet(folder.path(), room(8, 6), {}, 0, kFacts, {.paper = paper, .scale = 50});
+    output_of("pdftoppm -r 400 -gray " + (folder.path() / "sheet.pdf").string() + " " +
+              (folder.path() / "page").string());
+    const cv::Mat3b page = cv::imread((folder.path() / "page-1.pgm").string());
+    ASSERT_FALSE(page.empty());
+    EXPECT_NEAR(bar_length(page, 400 / 25.4, width, height), 20, 0.005 * 20) << paper;
+  }
+}
+
+TEST(SheetFile, PapersHaveTheirSize) {
+  const TemporaryFolder folder;
+  for (const auto& [paper, size] :
+       {std::pair("a4", "841.89 x 595.276 pts (A4)"), std::pair("a3", "1190.55 x 841.89 pts (A3)"),
+        std::pair("letter", "792 x 612 pts (letter)")}) {
+    write_sheet(folder.path(), room(8, 6), {}, 0, kFacts, {.paper = paper, .orientation = "landscape"});
+    EXPECT_THAT(output_of("pdfinfo " + (folder.path() / "sheet.pdf").string()), HasSubstr(size));
+  }
+  write_sheet(folder.path(), room(8, 6), {}, 0, kFacts, {.paper = "letter", .orientation = "portrait"});
+  EXPECT_THAT(output_of("pdfinfo " + (folder.path() / "sheet.pdf").string()), HasSubstr("612 x 792 pts (letter)"));
+}
+
+// Every line of the title block can be found, however many there are and however long, and none reaches into the
+// legend.
+TEST(SheetFile, LongTitleBlocksFit) {
+  const TemporaryFolder folder;
+  SheetFacts facts = kFacts;
+  for (int i = 0; i < 6; ++i) facts.title += " and the hall of " + std::to_string(1990 + i);
+  facts.lines.clear();
+  for (int i = 0; i < 14; ++i) facts.lines.emplace_back("Name " + std::to_string(i), "value " + std::to_string(i));
+  facts.lines.emplace_back("Session", facts.title + facts.title);
+  mapping::MapRaster many_layers = room(8, 6);
+  for (int k = 0; k < 12; ++k)
+    many_layers.layer_U.push_back(many_layers.layer_U.back()), many_layers.layer_bounds.push_back(3 + k);
+  write_sheet(folder.path(), many_layers, path(), 0, facts,
+              {.orientation = "portrait", .cells = "heights", .note = "drawn by M"});
+  const std::string text = output_of("pdftotext -layout " + (folder.path() / "sheet.pdf").string() + " -");
+  EXPECT_THAT(text, HasSubstr(facts.title));
+  EXPECT_THAT(text, HasSubstr(facts.lines.back().second));
+  EXPECT_THAT(text, HasSubstr("drawn by M"));
+  EXPECT_THAT(text, HasSubstr("z 13.00 to 14.00 m"));
+  EXPECT_THAT(text, HasSubstr("closed loops (1)"));
+  for (int i = 0; i < 14; ++i) EXPECT_THAT(text, HasSubstr("value " + std::to_string(i)));
+  // Ink within the block's frame only: below it the margin is white, and the line between facts and legend is not
+  // crossed (2 mm beside it stay white).
   const cv::Mat3b png = cv::imread((folder.path() / "sheet.png").string());
   const double scale = 200 / 25.4;
-  // Title block: 44 mm high, 8 mm from the border; bar: 11 mm + 1.5 text heights below its top, a third of it deeper.
-  const int row = static_cast<int>((210 - 8 - 44 + 11 + 1.5 * 2.6 + 0.35 * 2.6) * scale);
-  const int from = static_cast<int>((297 - 8 - 44 + 2) * scale), to = static_cast<int>((297 - 8 - 1) * scale);
-  int first = -1, last = -1;
-  for (int x = from; x < to; ++x) {
-    if (png(row, x)[0] > 128) continue;
-    if (first < 0) first = x;
-    last = x;
+  const cv::Mat3b below = png.rowRange(static_cast<int>((297 - 7.5) * scale), png.rows);
+  EXPECT_EQ(cv::countNonZero(below.reshape(1) < 250), 0);
+  const cv::Rect beside(static_cast<int>((210 - 8 - 88 + 0.5) * scale), static_cast<int>((297 - 57) * scale),
+                        static_cast<int>(1.5 * scale), static_cast<int>(48 * scale));
+  EXPECT_EQ(cv::countNonZero(png(beside).clone().reshape(1) < 250), 0);
+}
+
+// A square of 10 m whose chain turns a little too far: the loop between first and last frame sees the way that the
+// chain misses.
+TEST(SheetFile, ClosingErrorIsThatOfTheLongestLoop) {
+  PoseGraph odometry;
+  Pose pose = Pose::Identity();
+  for (int k = 0; k <= 40; ++k) {
+    odometry.nodes.push_back({.frame_idx = 2 * k, .world_from_cam = pose});
+    if (k > 0 && k % 10 == 0) pose.rotate(Eigen::AngleAxisd(M_PI / 2, Eigen::Vector3d::UnitZ()));
+    pose.translate(Eigen::Vector3d(k < 10 ? 1.003 : 1, 0, 0));  // the first side is 3 cm too long
   }
-  const double millimetres = (last - first + 1) / scale;
-  EXPECT_NEAR(millimetres, 20 + 0.2,
-              0.005 * 20 + 0.1);  // 1 m at 1 : 50, the line's width of 0.2 mm, a pixel is 0.13 mm
+  PoseGraph refined = odometry;
+  EXPECT_FALSE(closing_error(odometry, refined, 0));
+  // Around once: the true motion is a turn by 3/4 of a circle (the last one lies behind frame 80), no shift.
+  Pose truth = Pose::Identity();
+  truth.rotate(Eigen::AngleAxisd(3 * M_PI / 2, Eigen::Vector3d::UnitZ()));
+  refined.edges.push_back({.i = 0, .j = 80, .i_from_j = truth, .kind = PoseEdgeKind::loop});
+  refined.edges.push_back({.i = 20, .j = 40, .kind = PoseEdgeKind::loop});
+  refined.edges.push_back({.i = 2, .j = 4, .kind = PoseEdgeKind::odometry});
+  const auto error = closing_error(odometry, refined, 0);
+  ASSERT_TRUE(error);
+  EXPECT_EQ(error->i, 0);
+  EXPECT_EQ(error->j, 80);
+  EXPECT_EQ(error->loops, 2);
+  EXPECT_NEAR(error->error, 0.03, 1e-9);
+  EXPECT_NEAR(error->way, 40.03, 1e-9);
+  // Chains that only a loop joined have no closing error.
+  for (size_t k = 5; k < odometry.nodes.size(); ++k) odometry.nodes[k].submap = 1;
+  refined.edges.erase(refined.edges.begin() + 1);
+  EXPECT_FALSE(closing_error(odometry, refined, 0));
 }
 
 TEST(SheetFile, TextCanBeSearchedInPdfAndSvg) {
@@ -149,6 +238,10 @@ TEST(SheetFile, PaperOrientationScaleAndContentsFollowTheOptions) {
   EXPECT_EQ(count(png, {0, 0, png.cols, png.rows}, {0, 94, 213}), 0);  // vermillion
   const std::string info = output_of("pdfinfo " + (folder.path() / "sheet.pdf").string());
   EXPECT_THAT(info, HasSubstr("A3"));
+  // The path without its loops.
+  write_sheet(folder.path(), room(8, 6), path(), 0, kFacts, {.loops = false});
+  EXPECT_THAT(read_file(folder.path() / "sheet.svg"),
+              ::testing::AllOf(HasSubstr("camera path"), ::testing::Not(HasSubstr("closed loops"))));
   // Letter, heights: the lower layer's dark blue stands for the walls.
   write_sheet(folder.path(), room(8, 6), path(), 0, kFacts, {.paper = "letter", .cells = "heights"});
   EXPECT_THAT(read_file(folder.path() / "sheet.svg"), HasSubstr(">z 0.00 to 1.00 m</text>"));

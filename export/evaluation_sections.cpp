@@ -267,6 +267,7 @@ FigureSection map_section(const evaluate::MapErrors& errors, double cell, const 
   f.push_back({"true_occupied", "seen, textured cells of the plan", count(errors.true_occupied), ""});
   f.push_back({"free", "free cells of the map", count(errors.free), ""});
   f.push_back({"free_wrong", "of them holes in true surfaces", count(errors.free_wrong), ""});
+  f.push_back({"free_unseen", "of them where no camera saw that it is free", count(errors.free_unseen), ""});
   f.push_back({"true_free", "free cells of the plan", count(errors.true_free), ""});
   f.push_back({"distance_median", "occupied cells to the nearest true one, median", errors.distance_median, "m"});
   f.push_back({"distance_mean", "occupied cells to the nearest true one, mean", errors.distance_mean, "m"});

@@ -124,7 +124,7 @@ GridMap grid_map(const cv::Mat1b& grey, const RosMapHeader& header, bool plan) {
 
 double MapErrors::occupied_precision() const { return percent(occupied_right, occupied - occupied_not_judged); }
 double MapErrors::occupied_recall() const { return percent(found, true_occupied); }
-double MapErrors::free_precision() const { return percent(free - free_wrong, free); }
+double MapErrors::free_precision() const { return percent(free - free_wrong - free_unseen, free); }
 double MapErrors::free_recall() const { return percent(found_free, true_free); }
 
 MapErrors evaluate_map(const GridMap& estimate, const GridMap& truth, const Pose& truth_from_estimate,
@@ -132,7 +132,8 @@ MapErrors evaluate_map(const GridMap& estimate, const GridMap& truth, const Pose
   IRIS_CHECK(options.tolerance >= 0 && !truth.cells.empty() && !estimate.cells.empty());
   const Registered registered(estimate, truth, truth_from_estimate);
   const cv::Mat1b true_occupied = mask_of(truth, Cell::occupied), uncertain = mask_of(truth, Cell::occupied_uncertain);
-  const Near near_occupied(true_occupied, options.tolerance), near_uncertain(uncertain, options.tolerance);
+  const Near near_occupied(true_occupied, options.tolerance), near_uncertain(uncertain, options.tolerance),
+      near_true_free(mask_of(truth, Cell::free), options.tolerance);
   const int tolerance = registered.estimate_tolerance(options.tolerance);
   const Near near_estimate(mask_of(estimate, Cell::occupied), tolerance);
   const Near near_free(mask_of(estimate, Cell::free), tolerance);
@@ -154,8 +155,11 @@ MapErrors evaluate_map(const GridMap& estimate, const GridMap& truth, const Pose
     if (inside && any_true && !not_judged) distances.push_back(distance(there) * truth.resolution);
   });
   for_each_cell(estimate, Cell::free, [&](cv::Point cell) {
+    const cv::Point there = registered.to_truth(cell);
+    const bool hole = truth.at(there) == Cell::occupied && !near_estimate(cell);
     ++errors.free;
-    errors.free_wrong += truth.at(registered.to_truth(cell)) == Cell::occupied && !near_estimate(cell);
+    errors.free_wrong += hole;
+    errors.free_unseen += !hole && !near_true_free(there);
   });
   for_each_cell(truth, Cell::occupied, [&](cv::Point cell) {
     ++errors.true_occupied;

@@ -7,6 +7,7 @@
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
 #include "iris/mapping/ray_fusion.h"
+#include "visibility.h"
 
 namespace iris::mapping {
 namespace {
@@ -36,6 +37,9 @@ void FlogOptions::declare(OptionSet& set) {
   set.section("mapping");
   set.add("cell", cell, "m", 0.001, 10, "side of a map cell; smaller cells need more memory and nearer views");
   set.add("layers", layers, "", 1, 64, "layers of cells, told apart by height; a cell should be seen whole from 1 m");
+  set.add("slices", slices, "", 1, 64,
+          "cells of a layer above each other; 1 = the thesis, where a cell is as high as its layer and rays that pass "
+          "over a table outvote those that end on it");
   set.add("bottom", bottom, "m", -1000, 1000,
           "lower bound of the lowest layer above the floor (where no floor was found, it is taken to lie 1 m below the "
           "first "
@@ -56,18 +60,23 @@ void FlogOptions::declare(OptionSet& set) {
           "confidence K below which a cell is unknown in map.pgm; 1 = as many rays as a whole cell gets from 1 m");
   set.add("occupied_level", occupied_level, "", 0.01, 1,
           "membership of occupancy that makes a cell an obstacle in map.pgm; lower finds thin things and more noise");
+  set.add("seen_only", seen_only,
+          "cells that no view can have seen past the obstacles of the finished map are unknown in map.pgm: free space "
+          "and obstacles behind walls");
 }
 
 int full_rays(const FlogOptions& options, const RectifiedCamera& camera) {
   const double columns = std::min<double>(camera.f * options.cell, camera.width);
-  const double rows = std::min<double>(camera.f * options.height / options.layers, camera.height);
+  const double rows = std::min<double>(camera.f * options.height / (options.layers * options.slices), camera.height);
   return std::max(1, static_cast<int>(std::lround(columns * rows / (options.ray_step * options.ray_step))));
 }
 
 FlogBuilder::FlogBuilder(const FlogOptions& options, const RectifiedCamera& camera)
     : options_(options), half_view_(std::atan(0.5 * camera.width / camera.f)) {
-  IRIS_CHECK(options.layers >= 1 && options.cell > 0 && options.height > 0);
+  IRIS_CHECK(options.layers >= 1 && options.slices >= 1 && options.cell > 0 && options.height > 0);
   map_.cell_size = options.cell;
+  map_.slices = options.slices;
+  map_.camera = camera;
   for (int k = 0; k <= options.layers; ++k) {
     map_.layer_bounds.push_back(options.bottom + options.height * k / options.layers);
   }
@@ -83,6 +92,8 @@ bool FlogBuilder::add(const StereoView& view) {
     }
   }
   last_added_ = view.world_from_cam;
+  const auto viewpoint = static_cast<uint32_t>(map_.viewpoints.size());
+  map_.viewpoints.push_back(view.world_from_cam);
 
   const SightRays rays = sight_rays(view, {.min_disparity = options_.min_disparity,
                                            .pixel_error = options_.pixel_error,
@@ -90,8 +101,8 @@ bool FlogBuilder::add(const StereoView& view) {
                                            .max_range = options_.max_range,
                                            .step = options_.ray_step});
   const TiledGrid grid{.origin = {0, 0, options_.bottom},
-                       .box = {options_.cell, options_.cell, options_.height / options_.layers},
-                       .tile_boxes = {FlogMap::kTileCells, FlogMap::kTileCells, options_.layers},
+                       .box = {options_.cell, options_.cell, map_.slice_height()},
+                       .tile_boxes = {FlogMap::kTileCells, FlogMap::kTileCells, map_.all_slices()},
                        .single_layer_of_tiles = true};
   const TileRays sorted = sort_by_tile(rays, grid);
   if (sorted.tiles.empty()) return true;
@@ -111,31 +122,78 @@ bool FlogBuilder::add(const StereoView& view) {
         tile->cells.resize(static_cast<size_t>(grid.tile_boxes.prod()));
       }
       fuse_rays(rays, task.rays, grid, task.index, max_rays, tile->cells);
+      tile->viewpoints.push_back(viewpoint);
     }
   });
   return true;
 }
 
+namespace {
+
+constexpr int kSide = FlogMap::kTileCells;
+
+// One value of a cell: how far it says that something is there, and how far that can be relied on.
+struct CellValue {
+  float unsafe;  // not((E and not O) or I)
+  float K;
+};
+CellValue value_of(const FlogCell& cell, int full_rays) {
+  const float E = cell.empty, O = cell.occupied;
+  const float I = std::min(1 - E, 1 - O);
+  return {1 - std::max(std::min(E, 1 - O), I),
+          std::min(1.0f, static_cast<float>(cell.rays) / static_cast<float>(full_rays))};  // (6.3)
+}
+
+TileStates states_of(const FlogMap& map, const FlogOptions& options) {
+  TileStates states(map.tiles.size());
+  parallel_chunks(0, static_cast<int>(map.tiles.size()), 1, [&](int begin, int end) {
+    for (int t = begin; t < end; ++t) {
+      const FlogMap::Tile* tile = map.tiles[static_cast<size_t>(t)].get();
+      if (!tile) continue;
+      std::vector<uint8_t>& of_tile = states[static_cast<size_t>(t)];
+      of_tile.resize(tile->cells.size());
+      for (size_t i = 0; i < of_tile.size(); ++i) {
+        const FlogCell& cell = tile->cells[i];
+        MapState state = MapState::unknown;
+        if (cell.rays > 0 && static_cast<double>(value_of(cell, map.full_rays).K) >= options.min_confidence) {
+          if (static_cast<double>(cell.occupied) >= options.occupied_level) {
+            state = MapState::occupied;
+          } else if (cell.empty > 0.5f) {
+            state = MapState::free;
+          }
+        }
+        of_tile[i] = static_cast<uint8_t>(state);
+      }
+    }
+  });
+  return states;
+}
+
+}  // namespace
+
 MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
   MapRaster raster;
   raster.cell = map.cell_size;
   raster.layer_bounds = map.layer_bounds;
-  constexpr int kSide = FlogMap::kTileCells;
-  const auto for_each_tile = [&](const auto& visit) {
-    for (int ty = 0; ty < map.tiles_y; ++ty) {
-      for (int tx = 0; tx < map.tiles_x; ++tx) {
-        const FlogMap::Tile* tile = map.tiles[static_cast<size_t>(ty) * map.tiles_x + tx].get();
-        if (tile) visit(*tile, (tx + map.tile_x0) * kSide, (ty + map.tile_y0) * kSide);
+  TileStates states = states_of(map, options);
+  if (options.seen_only) forget_unseen(map, states);
+  // Visits the cells that any ray crossed: cell, its state, column, row (of growing y), layer.
+  const auto for_each_cell = [&](const auto& visit) {
+    for (size_t t = 0; t < map.tiles.size(); ++t) {
+      if (!map.tiles[t]) continue;
+      const int tile_x = (static_cast<int>(t) % map.tiles_x + map.tile_x0) * kSide;
+      const int tile_y = (static_cast<int>(t) / map.tiles_x + map.tile_y0) * kSide;
+      const std::vector<FlogCell>& cells = map.tiles[t]->cells;
+      for (size_t i = 0; i < cells.size(); ++i) {
+        if (cells[i].rays == 0) continue;
+        visit(cells[i], states[t][i], tile_x + static_cast<int>(i % kSide),
+              tile_y + static_cast<int>(i / kSide % kSide), i / (kSide * kSide) / static_cast<size_t>(map.slices));
       }
     }
   };
   int x0 = std::numeric_limits<int>::max(), y0 = x0, x1 = std::numeric_limits<int>::min(), y1 = x1;
-  for_each_tile([&](const FlogMap::Tile& tile, int tile_x, int tile_y) {
-    for (size_t i = 0; i < tile.cells.size(); ++i) {
-      if (tile.cells[i].rays == 0) continue;
-      const int x = tile_x + static_cast<int>(i % kSide), y = tile_y + static_cast<int>(i / kSide % kSide);
-      x0 = std::min(x0, x), x1 = std::max(x1, x), y0 = std::min(y0, y), y1 = std::max(y1, y);
-    }
+  for_each_cell([&](const FlogCell&, uint8_t, int x, int y, size_t) {
+    x0 = std::min(x0, x), x1 = std::max(x1, x), y0 = std::min(y0, y), y1 = std::max(y1, y);
   });
   if (x1 < x0) x0 = y0 = x1 = y1 = 0;
   raster.width = x1 - x0 + 1, raster.height = y1 - y0 + 1;
@@ -147,28 +205,17 @@ MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
     raster.layer_M.push_back(cv::Mat1f::zeros(raster.height, raster.width));
     raster.layer_U.push_back(cv::Mat1f::zeros(raster.height, raster.width));
   }
-  for_each_tile([&](const FlogMap::Tile& tile, int tile_x, int tile_y) {
-    for (size_t i = 0; i < tile.cells.size(); ++i) {
-      const FlogCell& cell = tile.cells[i];
-      if (cell.rays == 0) continue;
-      const int column = tile_x + static_cast<int>(i % kSide) - x0;
-      const int row = y1 - (tile_y + static_cast<int>(i / kSide % kSide));
-      const float E = cell.empty, O = cell.occupied;
-      const float K = std::min(1.0f, static_cast<float>(cell.rays) / static_cast<float>(map.full_rays));  // (6.3)
-      const float I = std::min(1 - E, 1 - O);
-      const float unsafe = 1 - std::max(std::min(E, 1 - O), I);
-      const float Mk = std::min(unsafe, K);  // (6.4)
-      raster.layer_M[i / (kSide * kSide)](row, column) = Mk;
-      raster.M(row, column) = std::max(raster.M(row, column), Mk);  // (6.5)
-      if (static_cast<double>(K) < options.min_confidence) continue;
-      const MapState state = static_cast<double>(O) >= options.occupied_level ? MapState::occupied
-                             : E > 0.5f                                       ? MapState::free
-                                                                              : MapState::unknown;
-      if (state == MapState::unknown) continue;
-      raster.layer_U[i / (kSide * kSide)](row, column) = unsafe;
-      raster.U(row, column) = std::max(raster.U(row, column), unsafe);
-      raster.state(row, column) = std::max(raster.state(row, column), static_cast<uint8_t>(state));
-    }
+  const auto raise = [](float& highest, float value) { highest = std::max(highest, value); };
+  for_each_cell([&](const FlogCell& cell, uint8_t state, int x, int y, size_t layer) {
+    const int column = x - x0, row = y1 - y;
+    const CellValue value = value_of(cell, map.full_rays);
+    const float Mk = std::min(value.unsafe, value.K);  // (6.4)
+    raise(raster.layer_M[layer](row, column), Mk);
+    raise(raster.M(row, column), Mk);  // (6.5)
+    if (state == static_cast<uint8_t>(MapState::unknown)) return;
+    raise(raster.layer_U[layer](row, column), value.unsafe);
+    raise(raster.U(row, column), value.unsafe);
+    raster.state(row, column) = std::max(raster.state(row, column), state);
   });
   raster.known = cv::Mat1b(raster.height, raster.width);
   for (int y = 0; y < raster.height; ++y) {

@@ -47,7 +47,9 @@ bool equal(const FlogMap& a, const FlogMap& b) {
 TEST(FlogBuilder, MapsTheWallsOfARoomWithinACellAndItsInsideAsFree) {
   const BoxRoom room;
   for (const double noise : {0.0, 0.1}) {
-    const FlogOptions options;
+    FlogOptions options;  // between the floor and the ceiling
+    options.bottom = -1.05;
+    options.height = 2.1;
     FlogBuilder builder(options, kCamera);
     for (const StereoView& view : walk_around(room, noise)) EXPECT_TRUE(builder.add(view));
     const MapRaster raster = rasterise(builder.map(), options);
@@ -185,6 +187,7 @@ TEST(FullRays, IsTheNumberOfRaysThatAWallAtOneMetreSendsThroughACell) {
   FlogOptions options;
   options.cell = 0.1;
   options.layers = 3;
+  options.slices = 1;
   options.bottom = -0.3;
   options.height = 0.6;
   for (const int step : {1, 2}) {

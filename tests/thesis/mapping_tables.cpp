@@ -30,6 +30,7 @@ void print_boxes(const std::string& path) {
   mapping::FlogOptions flog;
   flog.cell = 0.02;
   flog.layers = 1;
+  flog.slices = 1;
   flog.bottom = 0.77;  // from the table, at 0.752 m, to the top of the larger box, at 1.092 m
   flog.height = 0.32;
   mapping::FlogBuilder builder(flog, sequence.camera);

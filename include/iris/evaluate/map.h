@@ -49,7 +49,8 @@ struct MapErrors {
   int64_t found = 0;  // an estimated occupied cell is within the tolerance
   // Estimated free cells.
   int64_t free = 0;
-  int64_t free_wrong = 0;  // truly occupied, and no estimated occupied cell is within the tolerance: a hole in a wall
+  int64_t free_wrong = 0;   // truly occupied, and no estimated occupied cell is within the tolerance: a hole in a wall
+  int64_t free_unseen = 0;  // others without a truly free cell within the tolerance: no camera saw that it is free
   int64_t true_free = 0;
   int64_t found_free = 0;  // an estimated free cell is within the tolerance
   // [m] from the estimated occupied cells that are judged to the nearest true occupied cell of any kind.
@@ -60,7 +61,7 @@ struct MapErrors {
   // [%]; NaN if there is nothing to judge.
   double occupied_precision() const;
   double occupied_recall() const;
-  double free_precision() const;
+  double free_precision() const;  // both kinds of wrong ones count
   double free_recall() const;
 };
 

@@ -12,10 +12,13 @@
 namespace iris::mapping {
 
 struct FlogOptions {
-  double cell = 0.05;        // [m] side of a cell (6.4.2)
-  int layers = 3;            // layers of cells, told apart by height (6.3.2)
-  double bottom = 0.1;       // [m] lowest bound, relative to the world's z = 0: above the floor, below most obstacles
-  double height = 1.8;       // [m] of all layers together (6.4.2: 2.1); the default ends below the lintels of doors
+  double cell = 0.05;   // [m] side of a cell (6.4.2)
+  int layers = 3;       // layers of cells, told apart by height (6.3.2)
+  int slices = 6;       // cells of a layer above each other; 1 = the thesis. A cell's memberships say to which part
+                        // it is filled (6.3.3): where a cell is as high as its layer, the rays that pass over a
+                        // bed outvote those that end on it
+  double bottom = 0.1;  // [m] lowest bound, relative to the world's z = 0: above the floor, below most obstacles
+  double height = 1.8;  // [m] of all layers together (6.4.2: 2.1); the default ends below the lintels of doors
   double min_disparity = 4;  // [px] rays of smaller disparities are followed to the distance of this one only (6.3.3)
   double pixel_error = 0.1;  // [px] error of image coordinates, dp of (4.24)
   double min_spread = 1;     // [cells] lower bound of e of (6.1), which knows nothing of the size of cells; 0 = the
@@ -26,13 +29,14 @@ struct FlogOptions {
   int ray_step = 1;          // [px] every n-th row and column gives rays (the thesis uses every second row)
   double min_move = 4;       // [cells] a view that moved less since the last added one …
   double min_turn = 0.5;     // [fields of view] … and did not turn by more is not added (6.3.3)
-  double min_confidence = 0.01;  // K of (6.3) below which a cell is unknown in the trinary map
-  double occupied_level = 0.35;  // memberships of occupancy from here on make an obstacle in the trinary map
+  double min_confidence = 0.05;  // K of (6.3) below which a cell is unknown in the trinary map
+  double occupied_level = 0.25;  // memberships of occupancy from here on make an obstacle in the trinary map
+  bool seen_only = true;         // cells that no view can have seen past the obstacles of the map are unknown in it
 
   void declare(OptionSet& set);
 };
 
-// NK of (6.3): rays through a cell that is seen completely from 1 m: it covers f cell x f layer-height pixels, or what
+// NK of (6.3): rays through a cell that is seen completely from 1 m: it covers f cell x f slice-height pixels, or what
 // the image holds of them.
 int full_rays(const FlogOptions& options, const RectifiedCamera& camera);
 

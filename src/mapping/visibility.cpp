@@ -1,0 +1,156 @@
+#include "visibility.h"
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "iris/core/parallel.h"
+#include "iris/mapping/flog.h"
+
+namespace iris::mapping {
+namespace {
+
+constexpr int kSide = FlogMap::kTileCells;
+// Occupied cells next to the cell in question do not hide it: a surface looked at from the side would hide itself.
+constexpr int kNeighbour = 1;
+constexpr double kAtCamera = 2;  // [cells] what is so near to the camera does not hide anything either
+
+struct Viewpoint {
+  Eigen::Matrix3d cam_from_world;
+  Eigen::Vector3d position;  // [m] world
+  Eigen::Vector3d in_cells;  // the same in cells of the grid
+};
+
+class Sight {
+ public:
+  Sight(const FlogMap& map, const TileStates& obstacles) : map_(map), obstacles_(obstacles), top_(map.all_slices()) {}
+
+  // Whether nothing occupied lies between a cell and the camera.
+  bool is_free(const Eigen::Vector3i& target, const Eigen::Vector3d& camera) const {
+    // To the corner that is nearest to the camera: a surface that is looked at from the side would hide the middle.
+    const Eigen::Vector3d low = target.cast<double>();
+    const Eigen::Vector3d start = camera.cwiseMax(low).cwiseMin(low + Eigen::Vector3d::Ones());
+    const Eigen::Vector3d way = camera - start;
+    const double end = 1 - kAtCamera / std::max(kAtCamera, way.norm());
+    Eigen::Vector3i cell = target, step;
+    Eigen::Vector3d next, delta;
+    for (int a = 0; a < 3; ++a) {
+      step[a] = way[a] < 0 ? -1 : 1;
+      delta[a] = way[a] == 0 ? std::numeric_limits<double>::infinity() : 1 / std::abs(way[a]);
+      next[a] = way[a] == 0 ? delta[a] : (way[a] > 0 ? low[a] + 1 - start[a] : start[a] - low[a]) * delta[a];
+    }
+    const std::vector<uint8_t>* tile = nullptr;
+    int tile_x = 0, tile_y = 0;
+    for (;;) {
+      int axis = next.x() < next.y() ? 0 : 1;
+      if (next.z() < next[axis]) axis = 2;
+      if (next[axis] >= end) return true;
+      cell[axis] += step[axis];
+      next[axis] += delta[axis];
+      if (axis == 2 && (cell.z() < 0 || cell.z() >= top_)) return true;  // leaves the grid for good
+      const int tx = (cell.x() >> FlogMap::kTileBits) - map_.tile_x0,
+                ty = (cell.y() >> FlogMap::kTileBits) - map_.tile_y0;
+      if (tx < 0 || ty < 0 || tx >= map_.tiles_x || ty >= map_.tiles_y) continue;
+      if (!tile || tx != tile_x || ty != tile_y) {
+        tile = &obstacles_[static_cast<size_t>(ty) * map_.tiles_x + tx];
+        tile_x = tx, tile_y = ty;
+      }
+      if (tile->empty()) continue;
+      const size_t at =
+          (static_cast<size_t>(cell.z()) * kSide + (cell.y() & (kSide - 1))) * kSide + (cell.x() & (kSide - 1));
+      if ((*tile)[at] != static_cast<uint8_t>(MapState::occupied)) continue;
+      if ((cell - target).cwiseAbs().maxCoeff() > kNeighbour) return false;
+    }
+  }
+
+ private:
+  const FlogMap& map_;
+  const TileStates& obstacles_;
+  int top_;
+};
+
+// What hides: the occupied cells, and those between two occupied ones above each other that are no farther apart than a
+// layer is high. Walls stand upright; where their texture repeats itself, they are found in patches, and wrong matches
+// look through the holes.
+TileStates obstacles_of(const FlogMap& map, const TileStates& states) {
+  constexpr auto kOccupied = static_cast<uint8_t>(MapState::occupied);
+  constexpr size_t kSlice = static_cast<size_t>(kSide) * kSide;
+  TileStates obstacles = states;
+  parallel_chunks(0, static_cast<int>(states.size()), 1, [&](int begin, int end) {
+    for (int t = begin; t < end; ++t) {
+      std::vector<uint8_t>& tile = obstacles[static_cast<size_t>(t)];
+      for (size_t column = 0; column < std::min(kSlice, tile.size()); ++column) {
+        int below = -1;  // slice of the last occupied cell
+        for (int z = 0; z < map.all_slices(); ++z) {
+          if (tile[static_cast<size_t>(z) * kSlice + column] != kOccupied) continue;
+          if (below >= 0 && z - below <= map.slices) {
+            for (int between = below + 1; between < z; ++between) {
+              tile[static_cast<size_t>(between) * kSlice + column] = kOccupied;
+            }
+          }
+          below = z;
+        }
+      }
+    }
+  });
+  return obstacles;
+}
+
+}  // namespace
+
+void forget_unseen(const FlogMap& map, TileStates& states) {
+  if (map.viewpoints.empty()) return;
+  const double bottom = map.layer_bounds.front();
+  const Eigen::Vector3d cell(map.cell_size, map.cell_size, map.slice_height());
+  std::vector<Viewpoint> viewpoints;
+  for (const Pose& pose : map.viewpoints) {
+    const Eigen::Vector3d position = pose.translation();
+    viewpoints.push_back(
+        {pose.linear().transpose(), position, (position - Eigen::Vector3d(0, 0, bottom)).cwiseQuotient(cell)});
+  }
+  TileStates seen = states;
+  const TileStates obstacles = obstacles_of(map, states);
+  const Sight sight(map, obstacles);
+  parallel_chunks(0, static_cast<int>(states.size()), 1, [&](int begin, int end) {
+    for (int t = begin; t < end; ++t) {
+      const auto index = static_cast<size_t>(t);
+      if (states[index].empty()) continue;
+      const int x0 = (t % map.tiles_x + map.tile_x0) * kSide, y0 = (t / map.tiles_x + map.tile_y0) * kSide;
+      // The nearest first: fewer cells between, and the best measurements.
+      std::vector<const Viewpoint*> order;
+      for (const uint32_t v : map.tiles[index]->viewpoints) order.push_back(&viewpoints[v]);
+      const Eigen::Vector3d middle =
+          (Eigen::Vector3d(x0, y0, 0) + Eigen::Vector3d::Constant(0.5 * kSide)).cwiseProduct(cell);
+      std::stable_sort(order.begin(), order.end(), [&](const Viewpoint* a, const Viewpoint* b) {
+        return (a->position - middle).head<2>().squaredNorm() < (b->position - middle).head<2>().squaredNorm();
+      });
+      const auto sees = [&](const Viewpoint& view, const Eigen::Vector3i& target, const Eigen::Vector3d& point) {
+        const Eigen::Vector3d in_cam = view.cam_from_world * (point - view.position);
+        if (in_cam.z() <= 0) return false;
+        const Eigen::Vector3d pixel = map.camera.project(in_cam);
+        if (!(pixel.x() >= 0 && pixel.y() >= 0 && pixel.x() < map.camera.width && pixel.y() < map.camera.height))
+          return false;
+        return sight.is_free(target, view.in_cells);
+      };
+      size_t last = 0;  // what saw the neighbour mostly sees the next one as well
+      for (size_t i = 0; i < states[index].size(); ++i) {
+        if (states[index][i] == static_cast<uint8_t>(MapState::unknown)) continue;
+        const Eigen::Vector3i target(x0 + static_cast<int>(i % kSide), y0 + static_cast<int>(i / kSide % kSide),
+                                     static_cast<int>(i / (kSide * kSide)));
+        const Eigen::Vector3d point =
+            (target.cast<double>() + Eigen::Vector3d::Constant(0.5)).cwiseProduct(cell) + Eigen::Vector3d(0, 0, bottom);
+        bool found = last < order.size() && sees(*order[last], target, point);
+        for (size_t v = 0; v < order.size() && !found; ++v) {
+          if (v == last || !sees(*order[v], target, point)) continue;
+          found = true;
+          last = v;
+        }
+        if (!found) seen[index][i] = static_cast<uint8_t>(MapState::unknown);
+      }
+    }
+  });
+  states = std::move(seen);
+}
+
+}  // namespace iris::mapping

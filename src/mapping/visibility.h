@@ -1,0 +1,20 @@
+// Which cells of a map any of its views can have seen.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "iris/types/flog_map.h"
+
+namespace iris::mapping {
+
+// MapState of all cells, tile by tile as in FlogMap::tiles; empty where no tile is.
+using TileStates = std::vector<std::vector<uint8_t>>;
+
+// Sets the cells to unknown that no view can have seen: no view has the cell's middle in its image with free sight,
+// that is with no occupied cell on the straight line to it but those next to the cell itself. What a map says about
+// such cells comes from wrong matches or from the spread of far measurements behind a surface. `states` of a map
+// without viewpoints stay as they are.
+void forget_unseen(const FlogMap& map, TileStates& states);
+
+}  // namespace iris::mapping

@@ -442,24 +442,33 @@ std::string kind_of(const fs::path& path) {
 
 }  // namespace
 
-Evaluation evaluate_files(const EvaluationRequest& request) {
-  Evaluation evaluation{.estimate = request.estimate.string(), .truth = request.truth.string(), .sections = {}};
-  if (!fs::exists(request.estimate))
+std::vector<std::string> compared_kinds(const EvaluationRequest& request) {
+  if (!fs::exists(request.estimate)) {
     throw InputError(request.estimate, "there is no such file or folder", "check the name");
+  }
   if (!fs::exists(request.truth)) throw InputError(request.truth, "there is no such file or folder", kGiveTruth);
   if (fs::is_directory(request.estimate)) {
     if (!fs::exists(request.estimate / "workspace.db")) {
       throw InputError(request.estimate, "is no output folder of a run",
                        "give OUT of 'iris run SESSION -o OUT', or a file");
     }
-    evaluate_output(request, evaluation);
-    return evaluation;
+    if (fs::is_directory(request.truth)) return {"trajectory", "disparity", "map"};
+    return {"trajectory"};
   }
   if (fs::is_directory(request.truth)) {
     throw InputError(request.truth, "is a folder, but a single file is evaluated",
                      "give the file of truth that belongs to it");
   }
-  const std::string kind = request.kind == "auto" ? kind_of(request.estimate) : request.kind;
+  return {request.kind == "auto" ? kind_of(request.estimate) : request.kind};
+}
+
+Evaluation evaluate_files(const EvaluationRequest& request) {
+  Evaluation evaluation{.estimate = request.estimate.string(), .truth = request.truth.string(), .sections = {}};
+  const std::string kind = compared_kinds(request).front();
+  if (fs::is_directory(request.estimate)) {
+    evaluate_output(request, evaluation);
+    return evaluation;
+  }
   if (kind == "trajectory") {
     evaluate_trajectory_files(request, evaluation);
   } else if (kind == "disparity") {

@@ -25,6 +25,10 @@ struct EvaluationRequest {
   std::filesystem::path plots;  // folder for PNG and SVG; empty = none
 };
 
+// What is going to be compared: of an output folder trajectory, disparity and map, or, if the truth is a file,
+// trajectory alone; of files their kind as in `kind`. Throws InputError as evaluate_files does.
+std::vector<std::string> compared_kinds(const EvaluationRequest& request);
+
 // Of an output folder everything that the truth knows about is evaluated. Throws InputError (no common time, other
 // image sizes, nothing to compare, damaged files).
 Evaluation evaluate_files(const EvaluationRequest& request);

@@ -219,10 +219,10 @@ std::vector<Stage> product_stages(const RunOptions& options) {
             .after = {"loop"},
             .inputs = {},
             .run =
-                [&options](Workspace& w, const RunControl&, const std::string&) {
+                [&options](Workspace& w, const RunControl& control, const std::string&) {
                   const auto views = w.views(Poses::refined, -1, kStreamCache);
                   write_scene(w.folder() / "model/scene.glb", w.pose_graph(Poses::refined), *views, options.scene,
-                              fs::path(w.session_folder()).filename().string());
+                              fs::path(w.session_folder()).filename().string(), control);
                   return Files{"model/scene.glb"};
                 }},
       Stage{.name = "tour",

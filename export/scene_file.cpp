@@ -133,16 +133,19 @@ struct ThinnedPoints {
   double edge = 0;  // [m]
 };
 
-ThinnedPoints thin_points(const views::ViewStore& views, const SceneOptions& options) {
+ThinnedPoints thin_points(const views::ViewStore& views, const SceneOptions& options,
+                          const pipeline::RunControl& control) {
   ThinnedPoints points{.submaps = {}, .edge = options.voxel};
   const std::array<float, 256> levels = linear_levels();
   const int count = static_cast<int>(views.summaries().size());
   constexpr int kBatch = 8;  // views decoded at the same time; added one after the other, in order
+  Progress progress(control.progress, "scene", count);
   for (int begin = 0; begin < count; begin += kBatch) {
     const int end = std::min(begin + kBatch, count);
     std::vector<std::shared_ptr<const StereoView>> batch(static_cast<size_t>(end - begin));
     parallel_chunks(begin, end, 1, [&](int i, int) { batch[static_cast<size_t>(i - begin)] = views.load(i); });
     for (const auto& view : batch) {
+      if (control.stopped()) throw Interrupted();
       add_points(*view, options, levels, points.submaps.try_emplace(view->submap, points.edge).first->second);
       const auto total = [&] {
         size_t sum = 0;
@@ -154,6 +157,7 @@ ThinnedPoints thin_points(const views::ViewStore& views, const SceneOptions& opt
         points.edge *= 2;
       }
     }
+    progress.update(end);
   }
   if (points.edge > options.voxel) {
     spdlog::info("scene: cubes of {} m instead of {} m, to stay within scene.max_points = {}", points.edge,
@@ -216,8 +220,9 @@ void add_camera_node(ModelBuilder& builder, int parent, int material,
 }  // namespace
 
 void write_scene(const std::filesystem::path& glb, const PoseGraph& graph, const views::ViewStore& views,
-                 const SceneOptions& options, const std::string& session_name) {
-  const ThinnedPoints points = thin_points(views, options);
+                 const SceneOptions& options, const std::string& session_name, const pipeline::RunControl& control) {
+  const ThinnedPoints points = thin_points(views, options, control);
+  if (control.stopped()) throw Interrupted();
   std::map<int, std::vector<Eigen::Vector3f>> paths;
   std::map<int, std::vector<const views::ViewSummary*>> cameras;
   std::set<int> submaps;

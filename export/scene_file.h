@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <string>
 
+#include "iris/pipeline/pipeline.h"
 #include "iris/types/pose_graph.h"
 #include "iris/views/view_store.h"
 
@@ -37,8 +38,10 @@ struct SceneOptions {
 //   * Colours are 16-bit linear light, as glTF demands: 8 bits would leave too few dark levels.
 //   * asset.extras: session, software, version, units, up axis and the edge of the cubes as used.
 // Memory: about 0.1 kB for each of max_points and a handful of views, however long the session.
-// Throws InputError if a view is damaged or the file cannot be written; never leaves half a file.
+// Throws InputError if a view is damaged or the file cannot be written, Interrupted if `control` asks to stop; never
+// leaves half a file.
 void write_scene(const std::filesystem::path& glb, const PoseGraph& graph, const views::ViewStore& views,
-                 const SceneOptions& options, const std::string& session_name);
+                 const SceneOptions& options, const std::string& session_name,
+                 const pipeline::RunControl& control = {});
 
 }  // namespace iris::exporters

@@ -1,11 +1,15 @@
 // iris evaluate OUT|FILE --truth …: how near is it to the truth?
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
+#include <algorithm>
+#include <filesystem>
 #include <memory>
 
 #include "apps/iris/command.h"
 #include "export/evaluation.h"
 #include "iris/core/atomic_file.h"
+#include "iris/core/error.h"
 #include "iris/core/parallel.h"
 
 namespace iris::app {
@@ -16,13 +20,35 @@ struct Evaluate {
   exporters::EvaluationRequest request;
   std::string estimate, truth, json, plots;
   Arguments arguments;
+  const CLI::App* command = nullptr;
 };
+
+// An option that would not be looked at is refused instead.
+void check_options(const Evaluate& state) {
+  const std::vector<std::string> kinds = exporters::compared_kinds(state.request);
+  const bool folder = std::filesystem::is_directory(state.estimate);
+  const auto given = [&](const char* name) { return state.command->get_option(name)->count() > 0; };
+  if (folder && given("--kind")) throw UsageError("--kind is for files; " + state.estimate + " is a folder");
+  if (!folder && given("--view")) throw UsageError("--view is for output folders; " + state.estimate + " is a file");
+  // The groups of the help and the kinds that they belong to.
+  const std::vector<std::pair<std::string, std::string>> groups = {
+      {"Trajectories", "trajectory"}, {"Disparities", "disparity"}, {"Maps", "map"}, {"Pictures", "image"}};
+  for (const CLI::Option* option : state.command->get_options()) {
+    for (const auto& [group, kind] : groups) {
+      if (option->get_group() != group || option->count() == 0) continue;
+      if (std::find(kinds.begin(), kinds.end(), kind) != kinds.end()) continue;
+      throw UsageError(fmt::format("{} is for the kind '{}'; compared {}: {}", option->get_name(), kind,
+                                   kinds.size() > 1 ? "are" : "is", fmt::join(kinds, ", ")));
+    }
+  }
+}
 
 int run(Evaluate& state) {
   state.arguments.resolve();
   state.request.estimate = state.estimate;
   state.request.truth = state.truth;
   state.request.plots = state.plots;
+  check_options(state);
   with_threads(state.arguments.threads(), [&] {
     const exporters::Evaluation evaluation = exporters::evaluate_files(state.request);
     if (state.json == "-") {
@@ -44,6 +70,7 @@ Command add_evaluate(CLI::App& program) {
       "as the truth knows them; of files: trajectories (TUM, KITTI), disparity images, maps of ROS, pictures.");
   auto state = std::make_shared<Evaluate>(*command);
   exporters::EvaluationRequest& request = state->request;
+  state->command = command;
   command->add_option("RESULT", state->estimate, "Output folder of a run, or a file")
       ->type_name("OUT|FILE")
       ->required();

@@ -75,8 +75,7 @@ class FrameStream {
 int find_disparities(const session::Session& session, const Options& options) {
   constexpr int kSamples = 12;
   const rectify::Rectifier rectifier(session.calibration());
-  // A given range still wants one frame that can be used.
-  const int samples = options.stereo.disparities > 0 ? 1 : std::min(kSamples, session.size());
+  const int samples = std::min(kSamples, session.size());
   std::vector<std::unique_ptr<StereoPair>> pairs(static_cast<size_t>(samples));
   std::vector<std::string> errors(static_cast<size_t>(samples));
   const auto read_sample = [&](int i) {
@@ -87,7 +86,10 @@ int find_disparities(const session::Session& session, const Options& options) {
       errors[i] = error.what();
     }
   };
-  if (session.random_access()) {
+  if (options.stereo.disparities > 0) {
+    // A given range still wants one frame that can be used.
+    for (int i = 0; i < samples && (i == 0 || !pairs[i - 1]); ++i) read_sample(i);
+  } else if (session.random_access()) {
     parallel_chunks(0, samples, 1, [&](int begin, int end) {
       for (int i = begin; i < end; ++i) read_sample(i);
     });

@@ -429,14 +429,14 @@ class ImageSession : public Session {
     for (const int index : selected_frames(static_cast<int>(all.size()), options, folder)) {
       frames_.push_back(all[static_cast<size_t>(index)]);
     }
-    const cv::Mat left = read_image(frames_.front().left), right = read_image(frames_.front().right);
+    const auto [begin, left, right] = first_readable();
     if (options.needs_calibration) {
       const bool by_colour = layout.kitti_pair_by_colour && left.channels() == 3;
       calibration_ =
           load_calibration(folder, {}, options, by_colour ? calibrate::KittiPair::rather_colour : layout.kitti_pair);
       note_unit(calibration_, notes_);
     }
-    fit_to_images(calibration_, left.size(), right.size(), frames_.front().right);
+    fit_to_images(calibration_, left.size(), right.size(), frames_[begin].right);
     if (left.depth() == CV_16U || right.depth() == CV_16U) find_used_bits();
   }
 
@@ -466,6 +466,29 @@ class ImageSession : public Session {
   }
 
  private:
+  struct FirstFrame {
+    size_t index = 0;
+    cv::Mat left, right;
+  };
+
+  // The first frame whose images can be read: a damaged one costs itself, not the recording.
+  FirstFrame first_readable() {
+    std::string problem;
+    for (size_t i = 0; i < frames_.size(); ++i) {
+      try {
+        FirstFrame frame{.index = i, .left = read_image(frames_[i].left), .right = read_image(frames_[i].right)};
+        if (i > 0) {
+          notes_.push_back(fmt::format("{}; frame {} is the first that can be read", problem, i));
+        }
+        return frame;
+      } catch (const InputError& error) {
+        if (problem.empty()) problem = error.what();
+      }
+    }
+    throw InputError(folder_, fmt::format("none of its {} frames can be read: {}", frames_.size(), problem),
+                     "record again, or copy it again from where it is whole");
+  }
+
   // 12-bit cameras store 16-bit files: the brightest values of a sample of the recording tell.
   void find_used_bits() {
     constexpr size_t kSamples = 8;
@@ -474,10 +497,14 @@ class ImageSession : public Session {
       const RecordedFrame& frame =
           frames_[i * (frames_.size() - 1) / std::max<size_t>(1, std::min(kSamples, frames_.size()) - 1)];
       for (const fs::path& file : {frame.left, frame.right}) {
-        const cv::Mat image = read_image(file);
-        double most = 0;
-        cv::minMaxLoc(image.reshape(1), nullptr, &most);
-        if (image.depth() == CV_16U) largest = std::max(largest, most);
+        try {
+          const cv::Mat image = read_image(file);
+          double most = 0;
+          cv::minMaxLoc(image.reshape(1), nullptr, &most);
+          if (image.depth() == CV_16U) largest = std::max(largest, most);
+        } catch (const InputError&) {
+          continue;  // damaged: reported when its turn comes
+        }
       }
     }
     bits_ = used_bits(largest);

@@ -234,6 +234,28 @@ TEST_F(Cli, ATruncatedImageCostsItsFrameOnly) {
   EXPECT_THAT(run_program({"info", out.string()}).output, HasSubstr("000005.png"));
 }
 
+TEST_F(Cli, ADamagedFirstImageCostsItsFrameOnly) {
+  const fs::path damaged = copied("first_truncated"), out = fresh("first_truncated_out");
+  fs::resize_file(damaged / "right/000000.png", 200);
+  write_file(damaged / "left/000001.png", "no image");
+  const auto result = run_program(run_arguments(damaged, out));
+  EXPECT_EQ(result.exit_code, 4) << result.output;
+  EXPECT_THAT(result.output, AllOf(HasSubstr("right/000000.png"), HasSubstr("frame 2 is the first that can be read"),
+                                   HasSubstr("frame 0 is skipped"), HasSubstr("frame 1 is skipped")));
+  const auto info = run_program({"info", out.string()});
+  EXPECT_THAT(info.output,
+              AllOf(HasSubstr("14: 12 with a pose, 2 unreadable, 1 sub-maps"), HasSubstr("begins the path")));
+  // A given search range looks for one frame that can be used: the one in the middle is tried first.
+  const fs::path middle = copied("middle_truncated");
+  for (const char* name : {"left/000000.png", "left/000001.png", "left/000007.png"}) write_file(middle / name, "");
+  EXPECT_EQ(run_program(run_arguments(middle, fresh("middle_out"))).exit_code, 4);
+  // Nothing at all can be read.
+  for (const auto& entry : fs::directory_iterator(middle / "left")) write_file(entry.path(), "");
+  const auto nothing = run_program(run_arguments(middle, fresh("nothing_out")));
+  EXPECT_EQ(nothing.exit_code, 3);
+  EXPECT_THAT(nothing.output, AllOf(HasSubstr("none of its 14 frames can be read"), HasSubstr("left/000000.png")));
+}
+
 TEST_F(Cli, WrongUsageIsExitCode2) {
   EXPECT_EQ(run_program({}).exit_code, 2);
   EXPECT_EQ(run_program({"fly", session().string()}).exit_code, 2);
@@ -560,6 +582,22 @@ TEST_F(Cli, EvaluateComparesARunWithTheTruth) {
   const auto single = run_program({"evaluate", (reference() / "trajectory/tum.txt").string(), "--truth",
                                    (truth / "truth/trajectory.tum").string(), "--json", "-"});
   EXPECT_EQ(nlohmann::json::parse(single.output)["trajectory"]["ate_rmse"], figures["trajectory"]["ate_rmse"]);
+}
+
+TEST_F(Cli, EvaluateRefusesOptionsThatItWouldNotLookAt) {
+  const fs::path path = reference() / "trajectory/tum.txt";
+  const auto expect = [&](const std::string& result, std::vector<std::string> options, const std::string& words) {
+    options.insert(options.begin(), {"evaluate", result, "--truth", path.string()});
+    const auto run = run_program(options);
+    EXPECT_EQ(run.exit_code, 2) << run.output;
+    EXPECT_THAT(run.output, HasSubstr(words));
+  };
+  expect(reference().string(), {"--mask", "black"}, "--mask is for the kind 'image'; compared is: trajectory");
+  expect(reference().string(), {"--kind", "map"}, "--kind is for files");
+  expect(reference().string(), {"--tolerance", "2"}, "--tolerance is for the kind 'map'");
+  expect(path.string(), {"--round"}, "--round is for the kind 'disparity'");
+  expect(path.string(), {"-o", fresh("plots").string(), "--view", "0"}, "--view is for output folders");
+  EXPECT_EQ(run_program({"evaluate", path.string(), "--truth", path.string(), "--with-scale"}).exit_code, 0);
 }
 
 TEST_F(Cli, EvaluateSaysWhatDoesNotBelongTogether) {

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 #include <tiny_gltf.h>
 
+#include <atomic>
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
@@ -320,6 +321,17 @@ TEST_F(SceneFile, AnEmptySceneIsAValidFileAndAnUnwritablePlaceAnError) {
   EXPECT_EQ(model.nodes.size(), 1u);
   EXPECT_TRUE(model.meshes.empty());
   EXPECT_THROW(write_scene(glb_ / "below_a_file.glb", {}, views::MemoryViewStore({}), {}, ""), InputError);
+}
+
+TEST_F(SceneFile, StopsWhenItIsAskedTo) {
+  const std::vector<StereoView> views = three_views();
+  std::atomic<bool> stop = true;
+  const pipeline::RunControl control{.progress = ProgressStyle::quiet, .stop = &stop};
+  EXPECT_THROW(write_scene(glb_, graph_of(views), views::MemoryViewStore(views), {}, "rover", control), Interrupted);
+  EXPECT_FALSE(fs::exists(glb_));
+  stop = false;
+  write_scene(glb_, graph_of(views), views::MemoryViewStore(views), {}, "rover", control);
+  EXPECT_TRUE(fs::exists(glb_));
 }
 
 TEST_F(SceneFile, AFullDiskIsAnErrorAndLeavesWhatWasThere) {

@@ -68,7 +68,8 @@ class Session {
   std::string identity_;
 };
 
-// Opens a recording; the first frame is read and compared with the calibration. Understood are
+// Opens a recording; the first frame that can be read is compared with the calibration (of images; of videos the first
+// one). Understood are
 //   * EuRoC/ASL: mav0/cam0/data, mav0/cam1/data (or without mav0);
 //   * KITTI odometry: image_0 and image_1 (grey) or image_2 and image_3 (colour), calib.txt, times.txt if there;
 //   * a pair of image folders: left/right, cam0/cam1, image_left/image_right, image_l/image_r … (or their data

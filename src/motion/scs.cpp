@@ -290,7 +290,8 @@ void ScsOptions::declare(OptionSet& set) {
   set.add("min_support", min_support, "", 0, 1,
           "of the corners whose surface is where a motion predicts it, the part that must be found there again");
   set.add("max_contradiction", max_contradiction, "", 0, 1,
-          "most points that the other view looks through, as a part of all that it shows, times that support");
+          "most points that the other view looks through, as a part of all that it shows, times the part of those corners "
+          "that are found again and fit the motion");
   set.add("max_turn", max_turn, "deg", 1, 180, "largest rotation between two views, theta (5.3)");
   set.add("ambiguity", ambiguity, "", 0.1, 2,
           "a second consistent set that is at least this part as large as the first and moves otherwise makes a motion "
@@ -359,8 +360,8 @@ TracedMotion confirmed(const TracedMotion& motion, const ViewFeatures& prev, con
   const auto matches = predicted_matches(prev, cur, motion.estimate.prev_from_cur, camera, options);
   TracedMotion result = with_found(motion, matches, camera, options);
   const Agreement views = agreement(prev, cur, result.estimate.prev_from_cur, camera);
-  const double found = static_cast<double>(matches.size());
-  const double support = found / std::max(1, views.expected);
+  const double found = static_cast<double>(matches.size()), used = result.estimate.used;
+  const double support = found / std::max(1, views.expected), fitting = used / std::max(1, views.expected);
   // A motion finds its own corners again, and most of what it finds fits it.
   constexpr double kLeastAgain = 0.5, kLeastUsed = 0.35;
   std::vector<char> is_found(prev.corners.size(), 0);
@@ -371,8 +372,8 @@ TracedMotion confirmed(const TracedMotion& motion, const ViewFeatures& prev, con
     ++own;
     again += is_found[c.prev_corner];
   }
-  if (support < options.min_support || views.contradiction() > options.max_contradiction * std::min(support, 1.0) ||
-      again < kLeastAgain * own || result.estimate.used < kLeastUsed * found) {
+  if (support < options.min_support || views.contradiction() > options.max_contradiction * std::min(fitting, 1.0) ||
+      again < kLeastAgain * own || used < kLeastUsed * found) {
     result.estimate = {.status = MotionStatus::too_few_consistent,
                        .initial = result.estimate.initial,
                        .consistent = result.estimate.consistent};

@@ -153,7 +153,7 @@ Eigen::MatrixXd BlockCholesky<N>::solve(const Eigen::MatrixXd& right_side) const
 }
 
 template <int N>
-std::vector<typename BlockCholesky<N>::Block> BlockCholesky<N>::inverse_diagonal() const {
+typename BlockCholesky<N>::Inverse BlockCholesky<N>::inverse() const {
   // Z L = L^-T gives, from the last column back, each column of Z on the pattern of L from later ones on that pattern.
   std::vector<Block> below(rows_.size()), diagonal(static_cast<size_t>(size_));
   std::vector<Block> ratios;
@@ -178,8 +178,14 @@ std::vector<typename BlockCholesky<N>::Block> BlockCholesky<N>::inverse_diagonal
     for (int p = begin; p < end; ++p) z.noalias() -= ratios[p - begin].transpose() * below[p];
     diagonal[column] = 0.5 * (z + z.transpose());
   }
-  std::vector<Block> result(static_cast<size_t>(size_));
-  for (int i = 0; i < size_; ++i) result[i] = diagonal[new_of_old_[i]];
+  Inverse result;
+  for (int i = 0; i < size_; ++i) result.diagonal.push_back(diagonal[new_of_old_[i]]);
+  for (const Slot& slot : slots_) {
+    Block& block = result.pairs.emplace_back(Block::Zero());
+    if (slot.place < 0) continue;
+    block = below[slot.place];
+    if (slot.transposed) block.transposeInPlace();
+  }
   return result;
 }
 

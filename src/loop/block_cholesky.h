@@ -1,6 +1,6 @@
 // Cholesky factorisation of a sparse symmetric matrix of small dense blocks: one block row a camera pose. Besides
-// solving it gives the blocks of the inverse that belong to the diagonal (the poses' covariances) without ever forming
-// the inverse.
+// solving it gives blocks of the inverse (the covariances of poses and of motions between them) without ever forming
+// it.
 #pragma once
 
 #include <Eigen/Core>
@@ -38,9 +38,13 @@ class BlockCholesky {
   // After factorise(): the solution for each column.
   Eigen::MatrixXd solve(const Eigen::MatrixXd& right_side) const;
 
-  // After factorise(): the diagonal blocks of the inverse, by Takahashi's recursion over the pattern of the factor
-  // (Takahashi, Fagan and Chin 1973), at about twice the cost of the factorisation.
-  std::vector<Block> inverse_diagonal() const;
+  // After factorise(): the blocks of the inverse on the diagonal and of the pairs, (i, k) as they were named (0 if one
+  // is fixed), by Takahashi's recursion over the pattern of the factor (Takahashi, Fagan and Chin 1973), at about twice
+  // the cost of the factorisation.
+  struct Inverse {
+    std::vector<Block> diagonal, pairs;
+  };
+  Inverse inverse() const;
 
  private:
   int size_ = 0;

@@ -41,8 +41,10 @@ void BundleOptions::declare(OptionSet& set) {
           "a larger disparity offset is reported, not corrected: then more is wrong than that");
   set.add("max_focal", max_focal, "", 0, 1, "a larger error of the focal length is reported, not corrected");
   set.add("min_focal", min_focal, "", 0, 1, "an error of the focal length below this part is not corrected");
-  set.add("bundle_sigma", sigma, "times", 0.1, 100,
-          "standard deviations after bundle adjustment are taken this many times as large as its residuals say");
+  set.add(
+      "bundle_sigma", sigma, "times", 0.1, 100,
+      "standard deviations after bundle adjustment are taken this many times as large as its residuals say, or more "
+      "if loops have shown that motions are worse");
   set.add("bundle_iterations", max_iterations, "", 1, 1000, "most iterations of bundle adjustment");
 }
 
@@ -359,23 +361,25 @@ class Adjuster {
         .select(covariance.diagonal().array().abs().sqrt(), std::numeric_limits<double>::infinity());
   }
 
-  // Marginal covariances of the unknown poses, in units of the observations' variance.
-  std::vector<Matrix6d> covariances(const State& state, const Eigen::Array3d& free) {
+  // Marginal covariances of the unknown poses. observation_variance: [px^2] of an image coordinate. free: parameters of
+  // the calibration that the images have decided; the others are where they are taken to be only as far as
+  // calibration_sigma says, which moves all poses together. Odometry does not hold against that: it has the same
+  // errors.
+  std::vector<Matrix6d> covariances(const State& state, double observation_variance, const Eigen::Array3d& free,
+                                    const Eigen::Array3d& calibration_sigma) {
     linearise(state);
     system_.factorise_nearly();
-    std::vector<Matrix6d> result = system_.inverse_diagonal();
+    std::vector<Matrix6d> result = system_.inverse().diagonal;
+    use_odometry(false);
+    linearise(state);
+    system_.factorise_nearly();
     const Eigen::MatrixXd y = system_.solve(coupling_);
     Eigen::Matrix3d reduced = calibration_hessian_ - coupling_.transpose() * y;
-    for (int k = 0; k < kCalibration; ++k) {
-      if (free(k) != 0) continue;
-      reduced.row(k).setZero();
-      reduced.col(k).setZero();
-      reduced(k, k) = 1;
-    }
+    reduced.diagonal().array() += (free != 0).select(0.0, observation_variance / calibration_sigma.square());
     const Eigen::Matrix3d inverse = reduced.inverse();
     for (int u = 0; u < unknowns_; ++u) {
-      const Eigen::Matrix<double, 6, 3> part = y.middleRows<6>(6 * u) * free.matrix().asDiagonal();
-      result[u] += part * inverse * part.transpose();
+      const auto part = y.middleRows<6>(6 * u);
+      result[u] = observation_variance * (result[u] + part * inverse * part.transpose());
     }
     return result;
   }
@@ -559,7 +563,7 @@ Matrix6d carried(const Matrix6d& covariance, const Eigen::Vector3d& way) {
 
 // What odometry says of successive views. It knows the frames in between, which images of the views alone do not.
 std::vector<Bridge> bridges_between(const Views& views, const std::vector<Landmark>& landmarks,
-                                    const RefinedGraph& refined, const PoseGraphOptions& graph) {
+                                    const RefinedGraph& refined) {
   constexpr int kLeastShared = 20;
   std::vector<int> shared(views.frames.size(), 0);  // with the view before
   for (const Landmark& landmark : landmarks) {
@@ -596,7 +600,7 @@ std::vector<Bridge> bridges_between(const Views& views, const std::vector<Landma
     bridge.needed = shared[k] < kLeastShared;
     bridge.i_from_j = views.poses[k - 1].inverse() * views.poses[k];
     if (known) {
-      bridge.information = (covariance * graph.odometry_sigma * graph.odometry_sigma).inverse();
+      bridge.information = (covariance * refined.odometry_sigma * refined.odometry_sigma).inverse();
     } else {
       const double step = 0.05 + 0.1 * bridge.i_from_j.translation().norm(), turn = 0.05;  // [m], [rad]
       bridge.information.diagonal() << Eigen::Vector3d::Constant(1 / (step * step)),
@@ -662,8 +666,7 @@ void spread_over_nodes(const std::vector<PoseNode>& nodes, const Views& views, c
 
 BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_frames,
                     const std::function<StereoView(int)>& view, const RectifiedCamera& camera,
-                    const BundleOptions& options, const PoseGraphOptions& graph, const motion::ScsOptions& scs,
-                    const std::function<bool()>& stopped) {
+                    const BundleOptions& options, const motion::ScsOptions& scs, const std::function<bool()>& stopped) {
   const std::vector<PoseNode>& nodes = refined.graph.nodes;
   BundleResult result{.nodes = nodes, .camera = camera, .views = static_cast<int>(view_frames.size())};
   result.covariance.assign(nodes.size(), Matrix6d::Zero());
@@ -705,12 +708,14 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
     result.problem = fmt::format("{} views share only {} points", result.views, result.points);
     return result;
   }
-  const std::vector<Bridge> bridges = bridges_between(views, landmarks, refined, graph);
+  const std::vector<Bridge> bridges = bridges_between(views, landmarks, refined);
 
   // Only loose first: how good the observations are is told by what is left.
+  // What makes odometry worse than its corners say is in these corners as well.
+  const double times = std::max(options.sigma, refined.odometry_sigma);
   State state{.poses = views.poses};
   for (const Landmark& landmark : landmarks) state.points.push_back(landmark.point);
-  Adjuster adjuster(camera, landmarks, bridges, unknown_of_view, unknowns, options.sigma, stopped);
+  Adjuster adjuster(camera, landmarks, bridges, unknown_of_view, unknowns, times, stopped);
   const Eigen::Array3d none = Eigen::Array3d::Zero();
   // Points begin where their anchor saw them; half of their disagreement is its own.
   result.rms_before = robust_sigma(adjuster.squares(state));
@@ -725,7 +730,7 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
   adjuster.use_odometry(false);
   adjuster.run(free_state, Eigen::Array3d::Ones(), options.max_iterations, result.iterations);
   const Eigen::Array3d calibration_sigma =
-      options.sigma * few * robust_sigma(adjuster.squares(free_state)) * adjuster.calibration_sigma(free_state);
+      times * few * robust_sigma(adjuster.squares(free_state)) * adjuster.calibration_sigma(free_state);
   Estimated* const estimates[] = {&result.calibration.disparity_offset, &result.calibration.focal,
                                   &result.calibration.roll};
   const double least[] = {options.min_offset, options.min_focal, kLeastRoll};
@@ -756,11 +761,11 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
   result.camera.f *= 1 + state.calibration(1);
   result.rms_after = robust_sigma(adjuster.squares(state));
 
-  const double variance = std::pow(options.sigma * few * result.rms_after, 2);
-  const std::vector<Matrix6d> of_unknowns = adjuster.covariances(state, free);
+  const std::vector<Matrix6d> of_unknowns =
+      adjuster.covariances(state, std::pow(times * few * result.rms_after, 2), free,
+                           Eigen::Array3d(options.min_offset, options.min_focal, kLeastRoll));
   std::vector<Matrix6d> covariances;
-  for (const int u : unknown_of_view)
-    covariances.push_back(u < 0 ? Matrix6d::Zero() : Matrix6d(variance * of_unknowns[u]));
+  for (const int u : unknown_of_view) covariances.push_back(u < 0 ? Matrix6d::Zero() : of_unknowns[u]);
   spread_over_nodes(nodes, views, node_of_view, state.poses, covariances, result);
   result.ok = true;
   return result;

@@ -11,7 +11,7 @@ namespace iris::loop {
 Odometry::Odometry(const PoseGraph& graph, const LoopOptions& options)
     : nodes_(graph.nodes),
       links_(graph.nodes.size()),
-      inflation_(options.inflation),
+      sigma_(options.sigma),
       drift_(options.drift),
       turn_drift_(options.turn_drift * std::numbers::pi / 180) {
   const int n = static_cast<int>(nodes_.size());
@@ -69,7 +69,7 @@ std::optional<RelativePose> Odometry::between(int i_frame, int j_frame) const {
   result.path = links_[i].path + links_[j].path - 2 * links_[top].path;
   const Matrix6d in_world = links_[i].covariance + links_[j].covariance - 2 * links_[top].covariance;
   const Matrix6d to_i = adjoint(i_from_world);
-  result.covariance = inflation_ * inflation_ * (to_i * in_world * to_i.transpose());
+  result.covariance = sigma_ * sigma_ * (to_i * in_world * to_i.transpose());
   const double shift = drift_ * result.path, turn = turn_drift_ * result.path;
   result.covariance.diagonal().head<3>().array() += shift * shift;
   result.covariance.diagonal().tail<3>().array() += turn * turn;

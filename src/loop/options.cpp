@@ -17,9 +17,11 @@ void LoopOptions::declare(OptionSet& set) {
   set.add("min_similarity", min_similarity, "", 0, 1,
           "least likeness of such views, as a part of how much a view resembles its neighbour in time");
   set.add("descriptors", descriptors, "", 20, 2000, "features a view by which views are found that look alike");
-  set.add("inflation", inflation, "", 1, 100,
+  set.add("sigma", sigma, "times", 0.1, 100,
           "how many times the standard deviations that motions claim are too small; larger keeps more loops after long "
           "ways, true and false ones");
+  set.add("estimate_sigma", estimate_sigma,
+          "find out by how well loops close how many times too small they are; else it is as loop.sigma says");
   set.add(
       "drift", drift, "", 0, 1,
       "systematic error of the path's length, as a part of it (one standard deviation): no loop is rejected for it");
@@ -35,8 +37,11 @@ void LoopOptions::declare(OptionSet& set) {
           "least part of the disparities of one view that those of the other do not contradict");
   set.add("max_chi_square", max_chi_square, "", 1, 1e9,
           "largest disagreement between loops and odometry: chi-square of six degrees of freedom, 22.5 keeps 99.9 % of "
-          "the true loops");
-  set.add("min_support", min_support, "", 1, 1000, "least number of agreeing loops that join two sub-maps");
+          "the true loops; beyond it a loop loses its weight quickly");
+  set.add(
+      "min_joining_loops", min_joining_loops, "loops", 1, 1000,
+      "so many loops must agree on how two sub-maps lie to each other before they are joined; 1 trusts a single one");
+  set.add("max_iterations", max_iterations, "", 1, 1000, "most iterations of the minimisation over all motions");
   set.add("cache_mb", cache_mb, "MB", 16, 1000000,
           "memory for views while loops are verified; larger reads less often");
 }

@@ -9,6 +9,7 @@
 #include <limits>
 #include <map>
 #include <numeric>
+#include <optional>
 #include <queue>
 
 #include "block_cholesky.h"
@@ -19,21 +20,6 @@
 #include "pose_problem.h"
 
 namespace iris::loop {
-
-void PoseGraphOptions::declare(OptionSet& set) {
-  set.section("loop");
-  set.add("odometry_sigma", odometry_sigma, "times", 0.1, 100,
-          "the errors of the motions between successive views are taken this many times as large as each motion's own "
-          "covariance says: larger lets loops pull more");
-  set.add("loop_sigma", loop_sigma, "times", 0.1, 100,
-          "the same for the motions found between views of a loop: larger lets loops pull less");
-  set.add("max_loop_error", max_loop_error, "standard deviations", 1, 1000,
-          "a loop that contradicts all others and the odometry by more than this loses weight quickly");
-  set.add(
-      "min_joining_loops", min_joining_loops, "loops", 1, 1000,
-      "so many loops must agree on how two sub-maps lie to each other before they are joined; 1 trusts a single one");
-  set.add("max_iterations", max_iterations, "", 1, 1000, "most iterations of the pose graph's minimisation");
-}
 
 Vector6d edge_residual(const Pose& world_from_i, const Pose& world_from_j, const Pose& i_from_j) {
   const Eigen::Matrix3d i_from_world = world_from_i.linear().transpose();
@@ -62,7 +48,7 @@ struct Link {
   int i = 0, j = 0;
   Pose i_from_j = Pose::Identity();
   Matrix6d information, covariance;
-  bool loop = false;
+  bool loop = false, guessed = false;
 };
 
 // A guessed edge keeps at least what any motion between two frames obeys: 100 m and a turn are possible.
@@ -72,7 +58,12 @@ Matrix6d least_information() {
   return sigma.cwiseInverse().cwiseAbs2().asDiagonal();
 }
 
-std::vector<Link> links_of(const PoseGraph& graph, const PoseGraphOptions& options) {
+// By how many times standard deviations are larger than stated.
+struct Sigmas {
+  double odometry = 1, loop = 1;
+};
+
+std::vector<Link> links_of(const PoseGraph& graph, const Sigmas& sigmas) {
   const auto place_of = [&](int frame_idx) {
     const auto found = std::lower_bound(graph.nodes.begin(), graph.nodes.end(), frame_idx,
                                         [](const PoseNode& node, int idx) { return node.frame_idx < idx; });
@@ -83,8 +74,12 @@ std::vector<Link> links_of(const PoseGraph& graph, const PoseGraphOptions& optio
   for (const PoseEdge& edge : graph.edges) {
     IRIS_CHECK(edge.i != edge.j);
     const bool loop = edge.kind == PoseEdgeKind::loop;
-    const double sigma = loop ? options.loop_sigma : options.odometry_sigma;
-    Link link{.i = place_of(edge.i), .j = place_of(edge.j), .i_from_j = edge.i_from_j, .loop = loop};
+    const double sigma = loop ? sigmas.loop : sigmas.odometry;
+    Link link{.i = place_of(edge.i),
+              .j = place_of(edge.j),
+              .i_from_j = edge.i_from_j,
+              .loop = loop,
+              .guessed = edge.kind == PoseEdgeKind::guessed};
     link.information = edge.information / (sigma * sigma) + 1e-12 * least_information();
     if (edge.kind == PoseEdgeKind::guessed) link.information += least_information();
     link.covariance = link.information.inverse();
@@ -424,42 +419,99 @@ class GraphProblem {
   ceres::Problem problem_;
 };
 
-// The marginal covariances of the unknowns at some poses: blocks of the inverse of Gauss and Newton's matrix.
-std::vector<Matrix6d> covariances_of(const std::vector<Link>& links, const std::vector<int>& active,
-                                     const Unknowns& unknowns, const std::vector<Pose>& poses, double phi) {
-  struct Blocks {
-    Matrix6d ii, jj, ij;
-  };
-  std::vector<Blocks> parts(active.size());
-  parallel_chunks(0, static_cast<int>(active.size()), 128, [&](int begin, int end) {
-    for (int k = begin; k < end; ++k) {
-      const Link& link = links[active[k]];
-      const Vector6d residual = edge_residual(poses[link.i], poses[link.j], link.i_from_j);
-      const EdgeJacobians jacobians = edge_jacobians(poses[link.i], poses[link.j], residual);
-      const double weight = link.loop ? weight_of(residual.dot(link.information * residual), phi) : 1;
-      const Matrix6d weighted_i = weight * link.information * jacobians.by_i;
-      const Matrix6d weighted_j = weight * link.information * jacobians.by_j;
-      parts[k] = {jacobians.by_i.transpose() * weighted_i, jacobians.by_j.transpose() * weighted_j,
-                  jacobians.by_i.transpose() * weighted_j};
-    }
-  });
-  BlockCholesky<6> system(unknowns.count, pairs_of(links, active, unknowns));
-  for (size_t k = 0; k < active.size(); ++k) {
-    const int i = unknowns.of_node[links[active[k]].i], j = unknowns.of_node[links[active[k]].j];
-    if (i >= 0) system.add(i, parts[k].ii);
-    if (j >= 0) system.add(j, parts[k].jj);
-    system.add_pair(static_cast<int>(k), parts[k].ij);
-  }
-  system.factorise_nearly();
-  return system.inverse_diagonal();
-}
-
 double median(std::vector<double> values) {
   if (values.empty()) return 0;
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
 }
+
+// The active links at some poses to first order: what their minimum is sure of.
+class Linearised {
+ public:
+  Linearised(const std::vector<Link>& links, std::vector<int> active, const Unknowns& unknowns,
+             const std::vector<Pose>& poses, double phi)
+      : links_(links), active_(std::move(active)), unknowns_(unknowns), parts_(active_.size()) {
+    BlockCholesky<6> system(unknowns.count, pairs_of(links, active_, unknowns));
+    parallel_chunks(0, static_cast<int>(active_.size()), 128, [&](int begin, int end) {
+      for (int k = begin; k < end; ++k) {
+        const Link& link = links[active_[k]];
+        const Vector6d residual = edge_residual(poses[link.i], poses[link.j], link.i_from_j);
+        Part& part = parts_[k];
+        part.by = edge_jacobians(poses[link.i], poses[link.j], residual);
+        part.square = residual.dot(link.information * residual);
+        part.information = (link.loop ? weight_of(part.square, phi) : 1) * link.information;
+      }
+    });
+    for (size_t k = 0; k < active_.size(); ++k) {
+      const int i = unknown_i(k), j = unknown_j(k);
+      const Part& part = parts_[k];
+      const Matrix6d weighted_j = part.information * part.by.by_j;
+      if (i >= 0) system.add(i, part.by.by_i.transpose() * part.information * part.by.by_i);
+      if (j >= 0) system.add(j, part.by.by_j.transpose() * weighted_j);
+      system.add_pair(static_cast<int>(k), part.by.by_i.transpose() * weighted_j);
+    }
+    system.factorise_nearly();
+    inverse_ = system.inverse();
+  }
+
+  // The marginal covariances of the unknowns.
+  const std::vector<Matrix6d>& covariances() const { return inverse_.diagonal; }
+
+  // What the links' squares say of these, see RefinedGraph. `prior` counts like two loops.
+  Sigmas sigmas(const Sigmas& before, double prior, double phi) const {
+    constexpr double kPrior = 12;         // degrees of freedom
+    constexpr double kMedian = 5.35 / 6;  // of the chi-square distribution with six degrees of freedom, by its mean
+    double odometry_square = 0, odometry_redundancy = 0, loop_redundancy = 0;
+    std::vector<double> of_loops;
+    for (size_t k = 0; k < active_.size(); ++k) {
+      const Link& link = links_[active_[k]];
+      const Part& part = parts_[k];
+      const double redundancy = 6 - part.information.cwiseProduct(predicted(k)).sum();
+      if (link.guessed) continue;
+      if (!link.loop) {
+        odometry_square += part.square;
+        odometry_redundancy += redundancy;
+      } else if (weight_of(part.square, phi) >= kRejectedWeight && redundancy > 0.1) {
+        of_loops.push_back(part.square / redundancy);
+        loop_redundancy += redundancy;
+      }
+    }
+    const auto estimate = [&](double sigma, double square, double redundancy) {
+      const double variance = (kPrior * prior * prior + sigma * sigma * square) / (kPrior + redundancy);
+      return std::max(1.0, std::sqrt(variance));
+    };
+    return {.odometry = estimate(before.odometry, odometry_square, odometry_redundancy),
+            .loop = estimate(before.loop, loop_redundancy * median(of_loops) / kMedian, loop_redundancy)};
+  }
+
+ private:
+  struct Part {
+    EdgeJacobians by;
+    Matrix6d information;  // weighted
+    double square = 0;
+  };
+  int unknown_i(size_t k) const { return unknowns_.of_node[links_[active_[k]].i]; }
+  int unknown_j(size_t k) const { return unknowns_.of_node[links_[active_[k]].j]; }
+
+  // Covariance of what the poses predict of a link.
+  Matrix6d predicted(size_t k) const {
+    const int i = unknown_i(k), j = unknown_j(k);
+    const auto& [by_i, by_j] = parts_[k].by;
+    Matrix6d result = Matrix6d::Zero();
+    if (i >= 0) result += by_i * inverse_.diagonal[i] * by_i.transpose();
+    if (j >= 0) result += by_j * inverse_.diagonal[j] * by_j.transpose();
+    if (i < 0 || j < 0) return result;
+    const Matrix6d cross = by_i * inverse_.pairs[k] * by_j.transpose();
+    return result + cross + cross.transpose();
+  }
+
+  const std::vector<Link>& links_;
+  std::vector<int> active_;
+  const Unknowns& unknowns_;
+  std::vector<Part> parts_;
+  BlockCholesky<6>::Inverse inverse_;
+};
 
 struct Solution {
   std::vector<Pose> poses;
@@ -473,9 +525,9 @@ struct Solution {
 // Minimises from given poses over the links that fit, leaves out loops that have no say (they cost time) and takes in
 // those that fit after all, until nothing changes.
 Solution settle(const std::vector<Link>& links, const std::vector<char>& inside, const Unknowns& unknowns,
-                std::vector<char> fits, std::vector<Pose> poses, double first_phi, const PoseGraphOptions& options,
+                std::vector<char> fits, std::vector<Pose> poses, double first_phi, const LoopOptions& options,
                 const std::function<bool()>& stopped) {
-  const double phi = options.max_loop_error * options.max_loop_error;
+  const double phi = options.max_chi_square;
   Solution solution{.poses = std::move(poses), .fits = std::move(fits)};
   constexpr int kMaxRounds = 3;
   for (int round = 0; round < kMaxRounds; ++round) {
@@ -501,10 +553,11 @@ Solution settle(const std::vector<Link>& links, const std::vector<char>& inside,
 
 }  // namespace
 
-RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options, const std::function<bool()>& stopped) {
+RefinedGraph refine(const PoseGraph& graph, const LoopOptions& options, const std::function<bool()>& stopped) {
   const int count = static_cast<int>(graph.nodes.size());
-  const std::vector<Link> links = links_of(graph, options);
-  const double phi = options.max_loop_error * options.max_loop_error;
+  Sigmas sigmas{.odometry = options.sigma, .loop = options.sigma};
+  std::vector<Link> links = links_of(graph, sigmas);
+  const double phi = options.max_chi_square;
   const double max_gate = 4 * phi;  // covariances are first order and errors have tails: twice the distance
 
   // Odometry alone, then with the loops that join sub-maps.
@@ -555,13 +608,31 @@ RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options, con
     if (second.cost < solution.cost) solution = std::move(second);
   }
 
-  RefinedGraph result{.graph = graph, .iterations = iterations, .converged = solution.converged};
+  // What the loops say of the motions' errors changes weights, and these what they say.
+  constexpr int kMaxRounds = 6;
+  constexpr double kSame = 0.02;
+  std::optional<Linearised> linearised;
+  for (int round = 0;; ++round) {
+    linearised.emplace(links, indices_of(solution.fits), unknowns, solution.poses, phi);
+    if (!options.estimate_sigma || round == kMaxRounds) break;
+    const Sigmas next = linearised->sigmas(sigmas, options.sigma, phi);
+    if (std::abs(next.odometry / sigmas.odometry - 1) < kSame && std::abs(next.loop / sigmas.loop - 1) < kSame) break;
+    sigmas = next;
+    links = links_of(graph, sigmas);
+    solution =
+        settle(links, inside, unknowns, std::move(solution.fits), std::move(solution.poses), phi, options, stopped);
+    iterations += solution.iterations;
+  }
+
+  RefinedGraph result{.graph = graph,
+                      .odometry_sigma = sigmas.odometry,
+                      .loop_sigma = sigmas.loop,
+                      .iterations = iterations,
+                      .converged = solution.converged};
   for (size_t k = 0; k < links.size(); ++k) {
     result.edge_error.push_back(std::sqrt(solution.squares[k]));
     result.edge_weight.push_back(links[k].loop ? weight_of(solution.squares[k], phi) : 1);
   }
-  const std::vector<Matrix6d> covariances =
-      covariances_of(links, indices_of(solution.fits), unknowns, solution.poses, phi);
   std::vector<int> order(sizes.size()), submap(sizes.size());
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return sizes[a] > sizes[b]; });
@@ -574,7 +645,7 @@ RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options, con
     if (at < 0) continue;
     refined.world_from_cam = solution.poses[node];
     refined.world_from_cam.linear() = nearest_rotation(solution.poses[node].linear());
-    result.covariance[node] = covariances[at];
+    result.covariance[node] = linearised->covariances()[at];
   }
   return result;
 }

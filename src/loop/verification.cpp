@@ -8,6 +8,7 @@
 
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "iris/motion/agreement.h"
 #include "iris/motion/consistency.h"
 
 namespace iris::loop {
@@ -18,9 +19,9 @@ double chi_square(const Vector6d& twist, const Matrix6d& covariance) {
   return twist.dot(solver.solve(twist));
 }
 
-// An edge's covariance as that of a twist in i, inflated like odometry's.
-Matrix6d inflated(const LoopEdge& edge, const LoopOptions& options) {
-  return options.inflation * options.inflation * twist_covariance(edge.i_from_j, edge.covariance);
+// An edge's covariance as that of a twist in i, enlarged like odometry's.
+Matrix6d enlarged(const LoopEdge& edge, const LoopOptions& options) {
+  return options.sigma * options.sigma * twist_covariance(edge.i_from_j, edge.covariance);
 }
 
 // The edge read from j to i.
@@ -34,40 +35,8 @@ LoopEdge reversed(const LoopEdge& edge) {
   return result;
 }
 
-// Counts the measured points of `from` that `to` measures too (agreeing) or looks through (against).
-void compare_depths(const DisparityImage& from, const DisparityImage& to, const Pose& to_from_from,
-                    const RectifiedCamera& camera, int& agreeing, int& against) {
-  constexpr int kStep = 8, kAround = 2;  // [px]
-  constexpr double kTolerance = 2;       // [px] of disparity
-  constexpr double kNear = 0.05;         // [m]
-  const int width = from.disparity.cols, height = from.disparity.rows;
-  for (int y = kStep / 2; y < height; y += kStep) {
-    for (int x = kStep / 2; x < width; x += kStep) {
-      const double d = from.at(y, x, DisparityOrigin::corrected);
-      if (!(d > 0) || !(d + camera.disparity_offset > 0)) continue;
-      const Eigen::Vector3d p = to_from_from * camera.point(x, y, d);
-      if (p.z() < kNear) continue;
-      const Eigen::Vector3d seen = camera.project(p);
-      const double u = std::round(seen.x()), v = std::round(seen.y());
-      if (!(u >= kAround && v >= kAround && u < width - kAround && v < height - kAround)) continue;
-      double nearest = 0;
-      bool agrees = false;
-      for (int b = -kAround; b <= kAround; ++b) {
-        for (int a = -kAround; a <= kAround; ++a) {
-          const double there = to.at(static_cast<int>(v) + b, static_cast<int>(u) + a, DisparityOrigin::corrected);
-          if (!(there > 0)) continue;
-          agrees = agrees || std::abs(there - seen.z()) <= kTolerance;
-          nearest = std::max(nearest, there);
-        }
-      }
-      if (agrees) ++agreeing;
-      if (!agrees && nearest > 0 && nearest < seen.z()) ++against;
-    }
-  }
-}
-
 LoopEdge judged(const Candidate& candidate, const motion::TracedMotion& forward, const motion::TracedMotion& backward,
-                const DisparityImage& i, const DisparityImage& j, const RectifiedCamera& camera,
+                const motion::ViewFeatures& i, const motion::ViewFeatures& j, const RectifiedCamera& camera,
                 const LoopOptions& options) {
   // More correspondences than this lie so close together that their errors are not independent. Measured on a rendered
   // apartment: the normalised squared errors of loops with 600 to 1100 correspondences were ten times those of others.
@@ -99,10 +68,11 @@ LoopEdge judged(const Candidate& candidate, const motion::TracedMotion& forward,
   LoopEdge back;
   back.i_from_j = backward.estimate.prev_from_cur;
   back.covariance = backward.estimate.covariance;
-  const Matrix6d in_both = inflated(edge, options) + inflated(reversed(back), options);
+  const Matrix6d in_both = enlarged(edge, options) + enlarged(reversed(back), options);
   if (chi_square(twist_of(edge.i_from_j * back.i_from_j), in_both) > options.max_chi_square) return edge;
 
-  edge.agreement = depth_agreement(i, j, edge.i_from_j, camera);
+  const motion::Agreement views = motion::agreement(i, j, edge.i_from_j, camera);
+  edge.agreement = views.agreeing > 0 ? 1 - views.contradiction() : 0;
   edge.verdict = edge.agreement < options.min_agreement ? LoopVerdict::contradicted : LoopVerdict::accepted;
   return edge;
 }
@@ -203,7 +173,7 @@ LoopEdge verify(const Candidate& candidate, const motion::ViewFeatures& i, const
                 const RectifiedCamera& camera, const motion::ScsOptions& scs, const LoopOptions& options) {
   const motion::TracedMotion forward = motion::trace_motion(i, j, camera, scs);
   const motion::TracedMotion backward = backward_of(forward, i, j, /*from_scratch=*/true, camera, scs, options);
-  return judged(candidate, forward, backward, i.disparity, j.disparity, camera, options);
+  return judged(candidate, forward, backward, i, j, camera, options);
 }
 
 LoopEdge verify(const Candidate& candidate, const motion::RescueFeatures& i, const motion::RescueFeatures& j,
@@ -212,7 +182,7 @@ LoopEdge verify(const Candidate& candidate, const motion::RescueFeatures& i, con
   // Keypoints that are each other's nearest are so both ways: from scratch would find the same.
   const motion::TracedMotion backward =
       backward_of(forward, i.dense, j.dense, /*from_scratch=*/false, camera, scs, options);
-  LoopEdge edge = judged(candidate, forward, backward, i.dense.disparity, j.dense.disparity, camera, options);
+  LoopEdge edge = judged(candidate, forward, backward, i.dense, j.dense, camera, options);
   edge.rescued = true;
   return edge;
 }
@@ -228,26 +198,18 @@ double spread_of(const std::vector<Eigen::Vector2d>& points, const RectifiedCame
   return static_cast<double>(std::count(occupied.begin(), occupied.end(), true)) / (kColumns * kRows);
 }
 
-double depth_agreement(const DisparityImage& i, const DisparityImage& j, const Pose& i_from_j,
-                       const RectifiedCamera& camera) {
-  int agreeing = 0, against = 0;
-  compare_depths(j, i, i_from_j, camera, agreeing, against);
-  compare_depths(i, j, i_from_j.inverse(), camera, agreeing, against);
-  return agreeing > 0 ? static_cast<double>(agreeing) / (agreeing + against) : 0.0;
-}
-
 double chi_square_of(const LoopEdge& a, const LoopEdge& b, const Odometry& odometry, const LoopOptions& options) {
   const auto between_i = odometry.between(a.i, b.i), between_j = odometry.between(a.j, b.j);
   IRIS_CHECK(between_i && between_j);
   // Around: from a.i over a.j, b.j and b.i back to a.i, each part's twist taken to a.i.
   Pose at = a.i_from_j;
-  Matrix6d covariance = inflated(a, options);
+  Matrix6d covariance = enlarged(a, options);
   Matrix6d to = adjoint(at);
   covariance += to * between_j->covariance * to.transpose();
   at = at * between_j->i_from_j;
   const LoopEdge back = reversed(b);
   to = adjoint(at);
-  covariance += to * inflated(back, options) * to.transpose();
+  covariance += to * enlarged(back, options) * to.transpose();
   at = at * back.i_from_j;
   // What is left is the inverse of the way a.i -> b.i, whose covariance is given in a.i.
   covariance += between_i->covariance;
@@ -263,7 +225,7 @@ void judge_consistency(std::vector<LoopEdge>& edges, const Odometry& odometry, c
     if (edge.verdict != LoopVerdict::accepted) continue;
     if (const auto relative = odometry.between(edge.i, edge.j)) {
       edge.chi_square = chi_square(twist_of(edge.i_from_j * relative->i_from_j.inverse()),
-                                   inflated(edge, options) + relative->covariance);
+                                   enlarged(edge, options) + relative->covariance);
       if (edge.chi_square > options.max_chi_square) {
         edge.verdict = LoopVerdict::inconsistent;
         continue;
@@ -288,7 +250,7 @@ void judge_consistency(std::vector<LoopEdge>& edges, const Odometry& odometry, c
       for (size_t k = 0; k < members.size(); ++k)
         if (!is_chosen[k]) others.push_back(directed[k]);
       const double second = static_cast<double>(consistent_edges(others, odometry, options).size());
-      supported = static_cast<int>(chosen.size()) >= options.min_support &&
+      supported = static_cast<int>(chosen.size()) >= options.min_joining_loops &&
                   second < kAmbiguous * static_cast<double>(chosen.size());
     }
     for (size_t k = 0; k < members.size(); ++k) {

@@ -94,7 +94,7 @@ void adjust(workspace::RefinedPath& path, const loop::RefinedGraph& refined, con
             const Options& options, const RunControl& control) {
   const loop::BundleResult result = bundle(
       refined, views.frames(), [&](int frame_idx) { return views.load(frame_idx); }, views.camera(), options.bundle,
-      options.pose_graph, options.motion, [&] { return control.stopped(); });
+      options.motion, [&] { return control.stopped(); });
   if (!result.ok) {
     spdlog::info("bundle adjustment: left out, {}", result.problem);
     return;
@@ -123,7 +123,11 @@ std::vector<std::string> run_loop(const Options& options, workspace::Workspace& 
     record_of_edge.push_back(i);
   }
 
-  const loop::RefinedGraph refined = loop::refine(graph, options.pose_graph, [&] { return control.stopped(); });
+  const loop::RefinedGraph refined = loop::refine(graph, options.loop, [&] { return control.stopped(); });
+  if (!record_of_edge.empty()) {
+    spdlog::info("errors: {:.1f} times what motions between neighbours state, {:.1f} times what loops state",
+                 refined.odometry_sigma, refined.loop_sigma);
+  }
   int accepted = 0;
   for (size_t i = 0; i < record_of_edge.size(); ++i) {
     workspace::LoopRecord& record = path.loops[record_of_edge[i]];

@@ -5,6 +5,7 @@
 
 #include <random>
 
+#include "iris/core/error.h"
 #include "iris/core/parallel.h"
 #include "iris/evaluate/trajectory.h"
 #include "iris/motion/minimise.h"
@@ -142,8 +143,9 @@ struct Session {
     refined = refine(graph, {});
   }
 
-  BundleResult bundle(const BundleOptions& options = {}) const {
-    return loop::bundle(refined, views, [&](int frame_idx) { return frames[frame_idx]; }, camera, options, {}, {});
+  BundleResult bundle(const BundleOptions& options = {}, const std::function<bool()>& stopped = {}) const {
+    return loop::bundle(
+        refined, views, [&](int frame_idx) { return frames[frame_idx]; }, camera, options, {}, stopped);
   }
 
   evaluate::TrajectoryErrors errors(const std::vector<PoseNode>& nodes, int step = 1) const {
@@ -266,6 +268,19 @@ TEST(Bundle, SaysWhenTooLittleIsShared) {
   session.refined.graph.edges.clear();
   session.refined.edge_weight.clear();
   EXPECT_FALSE(session.bundle().ok);
+}
+
+TEST(Bundle, StopsWhenAsked) {
+  const Session session(0, 12);
+  const BundleOptions small{.window = 2, .points = 60};
+  int all = 0, asked = 0;
+  session.bundle(small, [&] { return ++all < 0; });
+  EXPECT_GT(all, 5);
+  for (const int last : {0, all - 1}) {  // before the first view is read, in the last iteration
+    asked = 0;
+    EXPECT_THROW(session.bundle(small, [&] { return ++asked > last; }), Interrupted);
+    EXPECT_EQ(asked, last + 1);
+  }
 }
 
 TEST(Bundle, OptionsAreDeclared) {

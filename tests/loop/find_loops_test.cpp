@@ -3,12 +3,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <Eigen/LU>
 #include <cmath>
 #include <opencv2/imgproc.hpp>
 #include <random>
 
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "iris/loop/pose_graph.h"
 #include "iris/motion/minimise.h"
 #include "iris/rectify/rectifier.h"
 #include "iris/simulate/simulator.h"
@@ -112,9 +114,14 @@ const Session& two_rounds() {
   return session;
 }
 
+const std::vector<LoopEdge>& loops_of_two_rounds() {
+  static const std::vector<LoopEdge> edges = two_rounds().loops({});
+  return edges;
+}
+
 TEST(FindLoops, FindsTheSecondRound) {
   const Session& session = two_rounds();
-  const std::vector<LoopEdge> edges = session.loops({});
+  const std::vector<LoopEdge>& edges = loops_of_two_rounds();
   ASSERT_GE(accepted(edges), 20);
   std::vector<char> closed(44, 0);
   std::vector<double> shifts, turns;
@@ -141,6 +148,50 @@ TEST(FindLoops, FindsTheSecondRound) {
   EXPECT_LT(turns[turns.size() / 2], 0.005);
 }
 
+// Root mean square error of the positions [m] after the accepted loops are closed.
+double error_after(const Session& session, const std::vector<LoopEdge>& loops) {
+  PoseGraph graph = session.graph;
+  for (const LoopEdge& e : loops) {
+    if (e.verdict != LoopVerdict::accepted) continue;
+    graph.edges.push_back({e.i, e.j, e.i_from_j, e.covariance.inverse(), PoseEdgeKind::loop});
+  }
+  const RefinedGraph refined = refine(graph, {});
+  double sum = 0;
+  for (size_t k = 0; k < session.truth.size(); ++k) {
+    const Pose known = session.truth[0].inverse() * session.truth[k];
+    sum += (refined.graph.nodes[k].world_from_cam.translation() - known.translation()).squaredNorm();
+  }
+  return std::sqrt(sum / static_cast<double>(session.truth.size()));
+}
+
+// The whole stage: for every five true loops one that passed all tests of its two views, and is wrong. Each has the
+// motion of a true one, as repeated texture brings.
+TEST(FindLoops, OneWrongLoopInSixChangesLittle) {
+  const Session& session = two_rounds();
+  std::vector<LoopEdge> edges = loops_of_two_rounds();
+  const double none = error_after(session, {}), clean = error_after(session, edges);
+  EXPECT_LT(clean, none);
+  std::vector<LoopEdge> good;
+  for (const LoopEdge& e : edges) {
+    if (e.verdict == LoopVerdict::accepted) good.push_back(e);
+  }
+  std::mt19937 random(1);
+  const size_t first_wrong = edges.size();
+  for (size_t n = 0; n < good.size() / 5; ++n) {
+    LoopEdge wrong = good[random() % good.size()];
+    wrong.i = static_cast<int>(random() % 22);
+    wrong.j = wrong.i + 11 + static_cast<int>(random() % 8);  // a quarter to half of a round further
+    edges.push_back(wrong);
+  }
+  ASSERT_GE(edges.size(), first_wrong + 4);
+  judge_consistency(edges, Odometry(session.graph, {}), {});
+  for (size_t k = first_wrong; k < edges.size(); ++k) EXPECT_NE(edges[k].verdict, LoopVerdict::accepted);
+  EXPECT_LT(error_after(session, edges), 1.1 * clean);
+  // And if that had let them pass: all of them as accepted.
+  for (size_t k = first_wrong; k < edges.size(); ++k) edges[k].verdict = LoopVerdict::accepted;
+  EXPECT_LT(error_after(session, edges), 1.1 * clean);
+}
+
 // Two sights of one place: every condition on its own decides.
 TEST(Verify, NamesTheConditionThatFails) {
   const Session& session = two_rounds();
@@ -156,6 +207,8 @@ TEST(Verify, NamesTheConditionThatFails) {
   };
   const LoopOptions usual;
   EXPECT_EQ(verdict(j, usual), LoopVerdict::accepted);
+  // The opposite way through the same room, with the same chairs: what the camera turned away from.
+  EXPECT_NE(verdict(elsewhere, usual), LoopVerdict::accepted);
   LoopOptions options = usual;
   options.min_used = 1000;
   EXPECT_EQ(verdict(j, options), LoopVerdict::too_few_pairs);

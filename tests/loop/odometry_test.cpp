@@ -45,7 +45,7 @@ PoseGraph tree(const std::vector<int>& parents, std::mt19937& random) {
   return graph;
 }
 
-LoopOptions plain() { return {.inflation = 1, .drift = 0, .turn_drift = 0}; }
+LoopOptions plain() { return {.sigma = 1, .drift = 0, .turn_drift = 0}; }
 
 TEST(Twists, TakeAMotionsCovarianceToTheOneOfItsTwistAndBack) {
   std::mt19937 random(1);
@@ -148,7 +148,7 @@ TEST(Odometry, IsInflatedAndDriftsWithTheWay) {
   const PoseGraph graph = tree({-1, 0, 1, 2}, random);
   const auto without = Odometry(graph, plain()).between(0, 9);
   LoopOptions options = plain();
-  options.inflation = 3;
+  options.sigma = 3;
   options.drift = 0.1;
   options.turn_drift = 180 / M_PI;
   const auto with = Odometry(graph, options).between(0, 9);

@@ -22,7 +22,7 @@ using iris::testing::position_error;
 using motion::perturbed;
 
 // The noise of these graphs is drawn from their covariances.
-PoseGraphOptions exact_noise() { return {.odometry_sigma = 1, .loop_sigma = 1}; }
+LoopOptions exact_noise() { return {.sigma = 1, .estimate_sigma = false}; }
 
 Pose some_pose(PoseGraphMaker& maker, double scale) { return perturbed(Pose::Identity(), scale * maker.normals()); }
 
@@ -92,11 +92,13 @@ TEST(Refine, WeighsALoopAgainstOdometryByTheirVariances) {
   EXPECT_EQ(refined.covariance[0], Matrix6d::Zero());
   EXPECT_NEAR(refined.edge_error[2], (2.1 - last) / 0.05, 1e-6);
   EXPECT_EQ(refined.edge_weight, (std::vector<double>{1, 1, 1}));
-  // Inflation: the odometry's variance four times as large.
-  PoseGraphOptions options = exact_noise();
-  options.odometry_sigma = 2;
-  const double wider = (2 / 0.08 + 2.1 / 0.0025) / (1 / 0.08 + 1 / 0.0025);
-  EXPECT_NEAR(refine(graph, options).graph.nodes[2].world_from_cam.translation().x(), wider, 1e-9);
+  // All variances four times as large.
+  LoopOptions options = exact_noise();
+  options.sigma = 2;
+  const RefinedGraph wider = refine(graph, options);
+  EXPECT_NEAR(wider.graph.nodes[2].world_from_cam.translation().x(), last, 1e-9);
+  EXPECT_NEAR(wider.covariance[2](0, 0), 4 * refined.covariance[2](0, 0), 1e-9);
+  EXPECT_NEAR(wider.edge_error[2], 0.5 * refined.edge_error[2], 1e-6);
   // Without the loop: odometry as it is.
   graph.edges.pop_back();
   const RefinedGraph open = refine(graph, exact_noise());
@@ -117,7 +119,7 @@ TEST(Refine, BoundsTheInfluenceOfAWrongLoop) {
   const double x = refined.graph.nodes[1].world_from_cam.translation().x();
   EXPECT_NEAR(x, 1, 1e-6);
   EXPECT_NEAR(refined.edge_error[1], 100 * (9 - x), 1e-6);
-  const double s = 2 * 25 / (25 + 1e4 * (9 - x) * (9 - x));
+  const double s = 2 * 22.5 / (22.5 + 1e4 * (9 - x) * (9 - x));
   EXPECT_NEAR(refined.edge_weight[1], s * s, 1e-9);
   EXPECT_LT(refined.edge_weight[1], kRejectedWeight);
 }
@@ -288,7 +290,7 @@ TEST(Refine, DoesNotJoinByASingleOrContradictingLoops) {
   EXPECT_EQ(refined.edge_weight.back(), 0);
   EXPECT_TRUE(std::isinf(refined.edge_error.back()));
   // Trusting single ones joins the last two, to the largest sub-map.
-  PoseGraphOptions trusting = exact_noise();
+  LoopOptions trusting = exact_noise();
   trusting.min_joining_loops = 1;
   example.graph.edges.erase(example.graph.edges.end() - 4, example.graph.edges.end() - 1);
   const RefinedGraph joined = refine(example.graph, trusting);
@@ -344,13 +346,58 @@ TEST(Refine, ScalesToTenThousandNodes) {
   for (const Matrix6d& covariance : refined.covariance) ASSERT_TRUE((covariance.diagonal().array() >= 0).all());
 }
 
-TEST(Refine, OptionsAreDeclared) {
-  PoseGraphOptions options;
-  OptionSet set;
-  options.declare(set);
-  set.set("loop.odometry_sigma", "1.25");
-  EXPECT_EQ(options.odometry_sigma, 1.25);
-  set.validate();
+// Graphs whose covariances are wrong by known factors, one for odometry, one for loops: these are found, though one
+// loop in seven is wrong, and the covariances of the poses become those of the errors.
+TEST(Refine, FindsByHowMuchCovariancesAreWrong) {
+  struct Case {
+    double odometry, loop;
+  };
+  for (const auto& [odometry, loop] : {Case{1, 1}, Case{3, 3}, Case{4, 1.5}, Case{1.5, 4}}) {
+    constexpr int kGraphs = 10;
+    double sum = 0, odometry_sigma = 0, loop_sigma = 0;
+    for (int k = 0; k < kGraphs; ++k) {
+      PoseGraphMaker maker(500 + k);
+      PoseGraphExample example = maker.walk(400, 200, 12);
+      maker.add_wrong_loops(example, 33);
+      for (PoseEdge& edge : example.graph.edges) {
+        const double factor = edge.kind == PoseEdgeKind::loop ? loop : odometry;
+        edge.information *= factor * factor;
+      }
+      const RefinedGraph refined = refine(example.graph, {});
+      odometry_sigma += refined.odometry_sigma / kGraphs;
+      loop_sigma += refined.loop_sigma / kGraphs;
+      const int n = 30 + 35 * k;
+      const Vector6d error = error_of(refined.graph.nodes[n].world_from_cam, example.truth[n]);
+      sum += error.dot(refined.covariance[n].ldlt().solve(error));
+    }
+    // Of 200 loops, 1200 degrees of freedom are shared by both. What is assumed pulls by a few hundredths.
+    EXPECT_NEAR(odometry_sigma, odometry, 0.08 * odometry) << odometry << " " << loop;
+    EXPECT_NEAR(loop_sigma, loop, 0.08 * loop) << odometry << " " << loop;
+    // 99 % of the chi-square distribution with 60 degrees of freedom.
+    EXPECT_GT(sum, 35.5) << odometry << " " << loop;
+    EXPECT_LT(sum, 92.0) << odometry << " " << loop;
+  }
+}
+
+// Without loops nothing tells; a few of them do not outweigh what is assumed.
+TEST(Refine, AssumesWhatNoLoopTells) {
+  PoseGraphMaker maker(600);
+  PoseGraphExample example = maker.walk(100, 1, 6);
+  const RefinedGraph few = refine(example.graph, {});
+  EXPECT_GT(few.odometry_sigma, 1.5);
+  EXPECT_GT(few.loop_sigma, 1.5);
+  std::erase_if(example.graph.edges, [](const PoseEdge& edge) { return edge.kind == PoseEdgeKind::loop; });
+  const RefinedGraph none = refine(example.graph, {});
+  EXPECT_NEAR(none.odometry_sigma, LoopOptions().sigma, 1e-9);
+  EXPECT_NEAR(none.loop_sigma, LoopOptions().sigma, 1e-9);
+}
+
+TEST(Refine, StopsWhenAsked) {
+  PoseGraphMaker maker(10);
+  const PoseGraphExample example = maker.walk(50, 10, 6);
+  int asked = 0;
+  EXPECT_THROW(refine(example.graph, {}, [&] { return ++asked > 2; }), Interrupted);
+  EXPECT_EQ(asked, 3);
 }
 
 }  // namespace

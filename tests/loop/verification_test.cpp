@@ -6,6 +6,7 @@
 #include <cmath>
 #include <random>
 
+#include "iris/motion/agreement.h"
 #include "iris/motion/minimise.h"
 #include "support/box_room.h"
 
@@ -27,7 +28,7 @@ Matrix6d covariance_of(double shift = kShift, double turn = kTurn) {
   return result;
 }
 
-LoopOptions plain() { return {.inflation = 1, .drift = 0, .turn_drift = 0}; }
+LoopOptions plain() { return {.sigma = 1, .drift = 0, .turn_drift = 0}; }
 
 // A walk `laps` times around a circle of 60 steps, with noisy odometry, broken into sub-maps at the given nodes.
 struct Walk {
@@ -219,19 +220,23 @@ TEST(Spread, IsThePartOfTheGridThatIsOccupied) {
   EXPECT_NEAR(spread_of(all, camera), 1, 1e-12);
 }
 
-TEST(DepthAgreement, TellsARightMotionFromAWrongOne) {
+// What the agreement of loops rests on.
+TEST(Agreement, TellsARightMotionFromAWrongOne) {
   const RectifiedCamera camera{.f = 200, .cx = 159.5, .cy = 119.5, .baseline = 0.1, .width = 320, .height = 240};
   const testing::BoxRoom room;
   const Pose pose_i = testing::level_camera({0, 0, 0}, 0.2), pose_j = testing::level_camera({0.3, 0.2, 0.1}, 0.5);
   const StereoView i = testing::view_of(room, camera, pose_i, 0.1, 1),
                    j = testing::view_of(room, camera, pose_j, 0.1, 2);
   const Pose truth = pose_i.inverse() * pose_j;
-  EXPECT_GT(depth_agreement(i.disparity, j.disparity, truth, camera), 0.99);
+  motion::ViewFeatures of_i, of_j;
+  of_i.disparity = i.disparity;
+  of_j.disparity = j.disparity;
+  EXPECT_LT(motion::agreement(of_i, of_j, truth, camera).contradiction(), 0.01);
   Pose wrong = truth;
   wrong.translation() += Eigen::Vector3d(0, 0, -0.8);
-  EXPECT_LT(depth_agreement(i.disparity, j.disparity, wrong, camera), 0.6);
+  EXPECT_GT(motion::agreement(of_i, of_j, wrong, camera).contradiction(), 0.4);
   const Pose back = truth * Eigen::AngleAxisd(M_PI, Eigen::Vector3d::UnitY());
-  EXPECT_EQ(depth_agreement(i.disparity, j.disparity, Eigen::Translation3d(0, 0, -50) * back, camera), 0);
+  EXPECT_EQ(motion::agreement(of_i, of_j, Eigen::Translation3d(0, 0, -50) * back, camera).agreeing, 0);
 }
 
 TEST(LoopVerdict, HasAName) {

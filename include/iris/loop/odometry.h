@@ -20,7 +20,7 @@ struct RelativePose {
 
 // Odometry's edges form trees: every node is measured against one earlier node at most. With all errors expressed as
 // twists in the world, the covariance of the way between two nodes is the sum over its edges, a difference of sums from
-// the root. Loop edges are ignored. Standard deviations are inflated, and a systematic error grows with the way's
+// the root. Loop edges are ignored. Standard deviations are enlarged, and a systematic error grows with the way's
 // length (LoopOptions).
 class Odometry {
  public:
@@ -46,7 +46,7 @@ class Odometry {
   std::vector<PoseNode> nodes_;
   std::vector<Link> links_;
   std::unordered_map<int, int> index_;
-  double inflation_, drift_, turn_drift_;
+  double sigma_, drift_, turn_drift_;
 };
 
 }  // namespace iris::loop

@@ -17,9 +17,12 @@ struct LoopOptions {
   double min_similarity = 0.2;    // of appearance, as a part of how much the view resembles its neighbour in time
   int descriptors = 500;          // features a view that stand for its appearance
   // What odometry is trusted for.
-  double inflation = 2;      // [times] by which the standard deviations of motions are larger than they say
-  double drift = 0.005;      // [m/m] standard deviation of a systematic error in odometry's translation
-  double turn_drift = 0.05;  // [deg/m] and in its rotation
+  // [times] by which the errors of motions are larger than their covariances say: errors of neighbouring corners go
+  // together, which those do not know. What is assumed before the recording itself has told (see RefinedGraph).
+  double sigma = 2.5;
+  bool estimate_sigma = true;  // let it tell
+  double drift = 0.005;        // [m/m] standard deviation of a systematic error in odometry's translation
+  double turn_drift = 0.05;    // [deg/m] and in its rotation
   // Verification.
   double max_turn = 180;       // [deg] largest rotation between the views (theta of 5.3), replaces motion.max_turn
   bool rescue = true;          // compare with SIFT where corners do not match
@@ -27,8 +30,10 @@ struct LoopOptions {
   double min_spread = 0.08;    // least part of the image (of both views) that they cover
   double min_agreement = 0.8;  // least part of what both views measure that fits together
   // Consistency between loops.
-  double max_chi_square = 22.5;  // of six degrees of freedom: 99.9 % of true ones
-  int min_support = 3;           // least number of loops that agree about how two sub-maps lie
+  double max_chi_square = 22.5;  // of six degrees of freedom: 99.9 % of true ones. From there on a loop loses weight
+  int min_joining_loops = 3;     // least number of loops that agree about how two sub-maps lie
+  // Minimisation over all motions.
+  int max_iterations = 50;  // in each of at most three rounds
   // Resources.
   int cache_mb = 256;  // [MB] of views that are kept while candidates are verified
 

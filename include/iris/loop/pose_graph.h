@@ -5,26 +5,12 @@
 #include <functional>
 #include <vector>
 
-#include "iris/core/options.h"
+#include "iris/loop/options.h"
 #include "iris/types/pose_graph.h"
 
 namespace iris::loop {
 
-struct PoseGraphOptions {
-  // [times] by which the standard deviations of motions are larger than they say: errors of neighbouring corners go
-  // together, which the covariances do not know. In a simulated flat, Mahalanobis distances from the truth are 2.5
-  // times too large (1.3 to 1.9 for each coordinate alone), of single motions as of chains and loops; with 2.5 those of
-  // the refined poses are as they should be (1.00).
-  double odometry_sigma = 2.5, loop_sigma = 2.5;
-  double max_loop_error = 5.0;  // [standard deviations] Mahalanobis distance (6 degrees of freedom; 99.9 % of good
-                                // loops stay below 4.7) from which on a loop loses weight
-  int min_joining_loops = 2;    // so many loops must agree on the relation of two sub-maps to join them
-  int max_iterations = 50;      // of the minimisation, in each of at most three rounds
-
-  void declare(OptionSet& set);  // section "loop"
-};
-
-// A loop of less weight than this counts as rejected: it is off by more than sqrt(3) max_loop_error.
+// A loop of less weight than this counts as rejected: its chi-square is above three times max_chi_square.
 constexpr double kRejectedWeight = 0.25;
 
 struct RefinedGraph {
@@ -32,17 +18,22 @@ struct RefinedGraph {
   // A component is what odometry, and loops that agree, connect; it is one sub-map: number 0 is the one with most
   // nodes, then by falling number of nodes, of equal ones the earlier first.
   PoseGraph graph;
-  std::vector<double> edge_error;   // Mahalanobis distance of each edge after refinement, with the covariance of the
-                                    // options; infinite for a loop between different components
+  std::vector<double> edge_error;   // Mahalanobis distance of each edge after refinement, with the covariance enlarged
+                                    // as below; infinite for a loop between different components
   std::vector<double> edge_weight;  // 1 = full; loops only are weighted (0 between different components)
   // Of each node relative to the first node of its component (0 there), the same perturbation as everywhere:
   // t' = t + dt, R' = exp(dw) R of world_from_cam.
   std::vector<Matrix6d> covariance;
+  // [times] by which the standard deviations of motions between neighbours and of loops are larger than they say. They
+  // are variance components (Helmert; Foerstner 1979): the squares left of each kind, by their redundancy, which is the
+  // part of each motion that the others check. Loops by the median, so that wrong ones do not count. options.sigma
+  // stands for as much as two loops tell; neither is taken to be better than it says.
+  double odometry_sigma = 1, loop_sigma = 1;
   int iterations = 0;
   bool converged = true;
 };
 
-// Minimises the sum of the edges' squared Mahalanobis distances, a loop's beyond phi = max_loop_error^2 being bounded
+// Minimises the sum of the edges' squared Mahalanobis distances, a loop's beyond phi = max_chi_square being bounded
 // (dynamic covariance scaling, Agarwal et al. 2013: s = min(1, 2 phi / (phi + chi^2)), weight s^2, which is the
 // M-estimator rho = phi (3 chi^2 - phi) / (phi + chi^2)).
 // Steps: loops that no drift of the odometry explains are left out at first; sub-maps are joined by the largest set of
@@ -50,7 +41,7 @@ struct RefinedGraph {
 // two linear systems); Ceres from there, with phi falling to its value (graduated non-convexity); loops left out that
 // now fit are taken in again. All of it is deterministic. Edges must name nodes of the graph. `stopped` is asked now
 // and then; true: Interrupted is thrown; may be empty.
-RefinedGraph refine(const PoseGraph& graph, const PoseGraphOptions& options, const std::function<bool()>& stopped = {});
+RefinedGraph refine(const PoseGraph& graph, const LoopOptions& options, const std::function<bool()>& stopped = {});
 
 // The error of an edge, (dt, dw) in the measured motion's own perturbation: the predicted motion is the measured one
 // moved by it, t + dt, exp(dw) R.

@@ -38,7 +38,7 @@ struct LoopEdge {
   Candidate::Source source = Candidate::Source::overlap;
   bool rescued = false;    // compared with SIFT
   double spread = 0;       // part of the image that the correspondences cover, of the worse view
-  double agreement = 0;    // part of what the two views measured that fits together
+  double agreement = 0;    // part of what the two views measured that fits together (motion::agreement)
   double chi_square = -1;  // of the motion against odometry, six degrees of freedom; -1: odometry does not join them
   LoopVerdict verdict = LoopVerdict::no_motion;
 };
@@ -58,17 +58,11 @@ LoopEdge verify(const Candidate& candidate, const motion::RescueFeatures& i, con
 // The part of an image that points are spread over: occupied cells of a grid of 8 x 6.
 double spread_of(const std::vector<Eigen::Vector2d>& points, const RectifiedCamera& camera);
 
-// Of the points that one of the views measures and that fall where the other one measures too, the part that the other
-// one does not look through. What is hidden behind nearer surfaces does not count. 0 if nothing of them is seen by
-// both.
-double depth_agreement(const DisparityImage& i, const DisparityImage& j, const Pose& i_from_j,
-                       const RectifiedCamera& camera);
-
 // Judges accepted edges together: those that contradict odometry become inconsistent, then those outside of the largest
 // set of mutually consistent ones (pairwise consistency maximisation, Mangelson et al. 2018), for each pair of sub-maps
 // on its own. Two loops i-j and k-l agree if the way i -> j -> l -> k -> i comes back to where it began, within its
-// covariance. Two sub-maps are joined by options.min_support agreeing loops at least, and not if a second such set is
-// nearly as large.
+// covariance. Two sub-maps are joined by options.min_joining_loops agreeing loops at least, and not if a second such
+// set is nearly as large.
 void judge_consistency(std::vector<LoopEdge>& edges, const Odometry& odometry, const LoopOptions& options);
 
 // The chi-square of the way around two loops, six degrees of freedom. Both run between the same two sub-maps, in the

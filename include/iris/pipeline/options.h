@@ -7,7 +7,6 @@
 #include "iris/loop/alignment.h"
 #include "iris/loop/bundle.h"
 #include "iris/loop/options.h"
-#include "iris/loop/pose_graph.h"
 #include "iris/mapping/flog.h"
 #include "iris/motion/scs.h"
 #include "iris/render/dsnv.h"
@@ -24,7 +23,6 @@ struct Options {
   motion::ScsOptions motion;
   views::ViewsOptions views;
   loop::LoopOptions loop;
-  loop::PoseGraphOptions pose_graph;
   loop::BundleOptions bundle;
   loop::AlignmentOptions alignment;
   mapping::FlogOptions mapping;
@@ -39,7 +37,6 @@ struct Options {
     motion.declare(set);
     views.declare(set);
     loop.declare(set);
-    pose_graph.declare(set);
     bundle.declare(set);
     alignment.declare(set);
     mapping.declare(set);

@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/Geometry>
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -76,14 +78,28 @@ struct Simulator::Impl {
   double middle(int frame_idx) const { return frame_idx / options.rate; }
 
   // At the end of its way the camera stays. Before the first frame and after the end, where an exposure may reach, the
-  // way is continued point-symmetrically: the mean pose of an exposure is that of its middle.
-  Pose world_from_left(int frame_idx, double offset) const {
-    const double at = std::min(middle(frame_idx), path.seconds), t = at + offset;
-    const double end = t < 0 ? 0 : path.seconds;
+  // way is continued point-symmetrically.
+  Pose on_the_way(double at, double offset) const {
+    const double t = at + offset, end = t < 0 ? 0 : path.seconds;
     if (t >= 0 && t <= path.seconds) return path.world_from_cam(t);
     const double mirrored = std::clamp(2 * end - t, 0.0, path.seconds);
     const Pose turning = path.world_from_cam(end);
     return turning * path.world_from_cam(mirrored).inverse() * turning;
+  }
+
+  // During an exposure the camera moves evenly: the mean pose of an exposure, which is what its image shows, is that of
+  // its middle, which the truth tells. A hand that shakes makes 0.004 degrees of difference otherwise.
+  Pose world_from_left(int frame_idx, double offset) const {
+    const double at = std::min(middle(frame_idx), path.seconds);
+    const Pose world_from_cam = on_the_way(at, 0);
+    if (offset == 0) return world_from_cam;
+    const Pose moved = on_the_way(at, -offset).inverse() * on_the_way(at, offset);
+    const Eigen::AngleAxisd turn(Eigen::Matrix3d(moved.linear()));
+    Pose half = Pose::Identity();
+    half.linear() = Eigen::AngleAxisd(turn.angle() / 2, turn.axis()).toRotationMatrix();
+    // So that half * half = moved.
+    half.translation() = (Eigen::Matrix3d::Identity() + half.linear()).partialPivLu().solve(moved.translation());
+    return world_from_cam * half;
   }
 
   SimulateOptions options;
@@ -135,7 +151,10 @@ StereoFrame Simulator::frame(int frame_idx) const {
     // Times rise in steps of about the golden section from place to place: late rays lie neither right nor below.
     int step = std::max(1, static_cast<int>(std::lround(0.618 * rays)));
     while (std::gcd(step, rays) != 1) ++step;
-    const int place = static_cast<int>(static_cast<int64_t>(k) * step % rays);
+    // The places of rays at opposite times are opposite as well. Otherwise the blur is skew, and moves fine texture by
+    // some hundredths of a pixel.
+    const int start = (step % 2 == 1 ? step - 1 : step - 1 + rays) / 2;
+    const int place = static_cast<int>((static_cast<int64_t>(k) * step + start) % rays);
     // One ray in each square of a root x root grid, and of `rays` narrow rows and columns each has one, too: along the
     // rows and columns of the image, edges fall on `rays` different places of a pixel instead of on `root` of them.
     const int i = place % s.root, j = place / s.root;

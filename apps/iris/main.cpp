@@ -1,5 +1,6 @@
 // iris: a table of subcommands.
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
@@ -32,6 +33,13 @@ void request_stop(int) {
 int report_parse_error(const CLI::App& program, const CLI::ParseError& error) {
   if (error.get_exit_code() == static_cast<int>(CLI::ExitCodes::Success)) return program.exit(error);
   std::string message = error.what();
+  if (program.get_subcommands().empty()) {
+    std::vector<std::string> names;
+    for (const CLI::App* command : program.get_subcommands({})) names.push_back(command->get_name());
+    const std::vector<std::string> remaining = program.remaining();
+    message = remaining.empty() ? "a command is missing" : fmt::format("'{}' is no command of iris", remaining.front());
+    message += fmt::format("; choose from {}", fmt::join(names, ", "));
+  }
   if (dynamic_cast<const CLI::ExtrasError*>(&error)) {
     exporters::RunOptions options;
     OptionSet set;

@@ -13,22 +13,23 @@
 namespace iris::app {
 namespace {
 
-constexpr const char* kDescription =
-    "How far two points of the map are apart, plus or minus one standard deviation.\n\n"
-    "Points are given in the world of the map, in metres: x and y as the axes of OUT/map/map_picture.png and of the\n"
-    "sheet show them, z above the floor. 'x,y' means what stands there on the map (the floor if nothing does), and "
-    "the\n"
-    "distance is horizontal; with 'x,y,z' for both points it is the one in space. A point is measured anew in the "
-    "views\n"
-    "that see it; the surface found within --measure.radius counts and is printed.\n\n"
-    "  iris measure OUT 1.2,0.5 -2,3.75          from wall to wall\n"
-    "  iris measure OUT 1.2,0.5,0.1 1.2,0.5,2.0  a height\n\n"
-    "The error has two parts: that of the points as their views measured them (it grows with the square of the\n"
-    "distance from the camera), and that of the path between the two views; if one view sees both points the path "
-    "does\n"
-    "not matter. 2 of 3 distances are right within it, 19 of 20 within twice of it. An error of the calibration "
-    "itself\n"
-    "is not contained: a baseline wrong by 1 % makes every distance wrong by 1 %.";
+constexpr const char* kDescription = "How far two points of the map are apart, plus or minus one standard deviation.";
+
+// After the options.
+constexpr const char* kExplanation =
+    R"(Points are in the world of the map, in metres: x and y as the axes of OUT/map/map_picture.png and of the sheet
+show them, z above the floor. 'x,y' means what stands there on the map (the floor if nothing does), and the
+distance is horizontal; with 'x,y,z' for both points it is the one in space. Each point is measured anew in the
+views that see it; the surface found within --measure.radius counts and is printed.
+
+  iris measure OUT 1.2,0.5 -2,3.75          from wall to wall
+  iris measure OUT 1.2,0.5,0.1 1.2,0.5,2.0  a height
+
+The error has two parts: that of the points as their views measured them, which grows with the square of the
+distance from the camera, and that of the path between the two views; if one view sees both points, the path does
+not matter. 2 of 3 distances are right within it, 9 of 10 within twice of it; most others begin or end at the
+border of an object. An error of the calibration itself is not contained: a baseline wrong by 1 % makes every
+distance wrong by 1 %.)";
 
 struct Measure {
   explicit Measure(CLI::App& command) : arguments(command, {"measure"}) {}
@@ -90,6 +91,7 @@ int run(Measure& state) {
 
 Command add_measure(CLI::App& program) {
   CLI::App* command = program.add_subcommand("measure", kDescription);
+  command->footer(kExplanation);
   auto state = std::make_shared<Measure>(*command);
   command->add_option("OUT", state->out, "Output folder of a run")->required();
   command->add_option("A", state->a, "One point [m]")->type_name("X,Y[,Z]")->required();

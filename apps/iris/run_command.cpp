@@ -78,6 +78,11 @@ int run(Run& run) {
         "the path broke into {} sub-maps whose relation is unknown; all are kept, maps and tour show the largest "
         "(sub-map {})",
         summary.submaps, summary.largest_submap);
+    if (4 * summary.submaps > summary.posed) {
+      spdlog::warn(
+          "most motions failed: see that the calibration is that of this recording ('iris rectify' must give images "
+          "whose rows correspond), and that neighbouring frames show the same things");
+    }
   }
   spdlog::info("look at {0}/map/map.png, {0}/tour/tour.mp4, {0}/model/scene.glb", out.string());
   return summary.complete() ? kGood : kIncomplete;

@@ -24,6 +24,10 @@ void check_size(const cv::Mat& image, const CameraModel& camera, const std::file
 // Notes a baseline that no rig of cameras has: lengths in millimetres or in squares of the target.
 void note_unit(const StereoCalibration& calibration, std::vector<std::string>& notes);
 
+// Notes a principal point far from the middle of the images: the calibration of other images, which files without an
+// image size (KITTI) do not tell.
+void note_principal_point(const StereoCalibration& calibration, std::vector<std::string>& notes);
+
 // "<name> <size> <hash>" of a recorded file, wherever it lies. The hash covers three samples of the content:
 // uncompressed images of one camera all have the same size, and reading everything twice would take as long as the
 // reconstruction.

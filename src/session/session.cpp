@@ -437,6 +437,7 @@ class ImageSession : public Session {
       note_unit(calibration_, notes_);
     }
     fit_to_images(calibration_, left.size(), right.size(), frames_[begin].right);
+    if (options.needs_calibration) note_principal_point(calibration_, notes_);
     if (left.depth() == CV_16U || right.depth() == CV_16U) find_used_bits();
   }
 
@@ -619,6 +620,19 @@ void note_unit(const StereoCalibration& calibration, std::vector<std::string>& n
         fmt::format("the calibration says that the cameras are {:.4g} m apart: if that is in millimetres or in "
                     "squares of the target, every length of the result is, too",
                     baseline));
+  }
+}
+
+void note_principal_point(const StereoCalibration& calibration, std::vector<std::string>& notes) {
+  constexpr double kUsual = 0.25;  // [parts of the image] from the middle
+  for (const CameraModel* camera : {&calibration.left, &calibration.right}) {
+    const double x = camera->K(0, 2) / camera->width - 0.5, y = camera->K(1, 2) / camera->height - 0.5;
+    if (std::max(std::abs(x), std::abs(y)) <= kUsual) continue;
+    notes.push_back(
+        fmt::format("{}: the principal point ({:.0f}, {:.0f}) lies far from the middle of images of {}x{} px; "
+                    "see that the calibration is that of this recording",
+                    calibration.source, camera->K(0, 2), camera->K(1, 2), camera->width, camera->height));
+    return;
   }
 }
 

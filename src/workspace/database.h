@@ -2,6 +2,7 @@
 #pragma once
 
 #include <sqlite3.h>
+#include <unistd.h>
 
 #include <cstring>
 #include <filesystem>
@@ -17,8 +18,16 @@ class Database {
   enum class Access { read_write, read_only };
 
   Database(const std::filesystem::path& path, Access access) : path_(path) {
-    const int flags = access == Access::read_only ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
-    if (sqlite3_open_v2(path.c_str(), &handle_, flags | SQLITE_OPEN_FULLMUTEX, nullptr) != SQLITE_OK) {
+    int flags = access == Access::read_only ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
+    std::string name = path.string();
+    // Even for reading SQLite makes files beside a WAL database, unless it is told that nobody writes: the case where
+    // the folder is not ours to write and no run has left its log there.
+    const std::filesystem::path folder = path.has_parent_path() ? path.parent_path() : ".";
+    if (access == Access::read_only && ::access(folder.c_str(), W_OK) != 0 && !std::filesystem::exists(name + "-wal")) {
+      name = "file:" + uri_text(name) + "?immutable=1";
+      flags |= SQLITE_OPEN_URI;
+    }
+    if (sqlite3_open_v2(name.c_str(), &handle_, flags | SQLITE_OPEN_FULLMUTEX, nullptr) != SQLITE_OK) {
       const std::string message = sqlite3_errmsg(handle_);
       sqlite3_close(handle_);
       throw InputError(path, "cannot be opened (" + message + ")", "check the folder and its permissions");
@@ -49,6 +58,20 @@ class Database {
   }
 
  private:
+  // With what has a meaning in URIs written as %XX.
+  static std::string uri_text(const std::string& path) {
+    std::string text;
+    for (const char c : path) {
+      constexpr char kDigits[] = "0123456789abcdef";
+      if (c != '%' && c != '?' && c != '#') {
+        text += c;
+      } else {
+        text += {'%', kDigits[c >> 4], kDigits[c & 15]};
+      }
+    }
+    return text;
+  }
+
   std::filesystem::path path_;
   sqlite3* handle_ = nullptr;
 };

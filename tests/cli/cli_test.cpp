@@ -258,7 +258,9 @@ TEST_F(Cli, ADamagedFirstImageCostsItsFrameOnly) {
 
 TEST_F(Cli, WrongUsageIsExitCode2) {
   EXPECT_EQ(run_program({}).exit_code, 2);
-  EXPECT_EQ(run_program({"fly", session().string()}).exit_code, 2);
+  const auto fly = run_program({"fly", session().string()});
+  EXPECT_EQ(fly.exit_code, 2);
+  EXPECT_THAT(fly.output, HasSubstr("'fly' is no command of iris; choose from run, info"));
   const auto unknown = run_program({"run", session().string(), "-o", fresh("x").string(), "--stereo.disparites", "64"});
   EXPECT_EQ(unknown.exit_code, 2);
   EXPECT_THAT(unknown.output, HasSubstr("did you mean stereo.disparities?"));

@@ -333,6 +333,34 @@ TEST_F(SessionTest, CutImageIsNamedWhenRead) {
   EXPECT_THROW(session->read(2), InputError);
 }
 
+TEST_F(SessionTest, DamagedFirstImagesCostTheirFramesOnly) {
+  for (int i = 0; i < 4; ++i) {
+    image(fmt::format("left/{}.png", i), 160 + 16 * i, CV_16UC1);
+    image(fmt::format("right/{}.png", i), 4000, CV_16UC1);
+  }
+  opencv_calibration("calibration.yaml", 0, 0);
+  write_file(at("left/0.png"), "");
+  fs::resize_file(at("right/1.png"), 50);
+  const auto session = open();
+  EXPECT_EQ(session->size(), 4);
+  EXPECT_THAT(session->notes(),
+              Contains(AllOf(HasSubstr("left/0.png"), HasSubstr("frame 2 is the first that can be read"))));
+  EXPECT_EQ(session->calibration().left.width, 64);
+  EXPECT_THROW(session->read(0), InputError);
+  EXPECT_THROW(session->read(1), InputError);
+  EXPECT_EQ(grey(session->read(2).left), 12);  // 12 bits are used
+  for (int i = 0; i < 4; ++i) write_file(at(fmt::format("left/{}.png", i)), "");
+  EXPECT_THAT(error_of(), AllOf(HasSubstr("none of its 4 frames can be read"), HasSubstr("left/0.png")));
+}
+
+TEST_F(SessionTest, CalibrationOfOtherImagesIsSuspected) {
+  folders("image_0", "image_1", 2);
+  write_file(at("calib.txt"), "P0: 50 0 60 0 0 50 24 0 0 0 1 0\nP1: 50 0 60 -5 0 50 24 0 0 0 1 0\n");
+  EXPECT_THAT(open()->notes(),
+              Contains(AllOf(HasSubstr("calib.txt: the principal point (60, 24) lies far from the middle"),
+                             HasSubstr("64x48 px"))));
+}
+
 // --- errors
 
 TEST_F(SessionTest, NoRecording) {

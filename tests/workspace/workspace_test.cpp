@@ -5,6 +5,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <cstdio>
 #include <fstream>
 #include <opencv2/core.hpp>
 
@@ -270,6 +271,37 @@ TEST(Workspace, RefusesAnotherSessionsOutputForeignFoldersAndASecondRun) {
   EXPECT_THAT(error_of([&] { Workspace::open(folder.path() / "photos"); }), ::testing::HasSubstr("no output folder"));
   EXPECT_THAT(error_of([&] { Workspace::create(folder.path() / "photos/me.jpg/out", "s", "f"); }),
               ::testing::HasSubstr("cannot be made"));
+}
+
+// The output of somebody else, or on a medium that cannot be written.
+TEST(Workspace, CanBeReadWhereNothingCanBeWritten) {
+  const TemporaryFolder folder;
+  const std::filesystem::path out = folder.path() / "out 50% #1?";
+  {
+    Workspace workspace = Workspace::create(out, "/recordings/a", "id");
+    workspace.add_frame(posed(0, 0), nullptr);
+  }
+  for (const auto& path : {folder.path(), out}) {
+    std::filesystem::permissions(path, static_cast<std::filesystem::perms>(0555));
+  }
+  const pid_t child = fork();
+  if (child == 0) {
+    // Permissions do not hold root back.
+    if (geteuid() == 0 && (setgid(65534) != 0 || setuid(65534) != 0)) _exit(2);
+    try {
+      const Workspace workspace = Workspace::open(out, Workspace::Access::read_only);
+      _exit(workspace.frame_count() == 1 && workspace.session_folder() == "/recordings/a" ? 0 : 3);
+    } catch (const std::exception& error) {
+      std::fputs(error.what(), stderr);
+      _exit(4);
+    }
+  }
+  int status = 0;
+  waitpid(child, &status, 0);
+  EXPECT_EQ(status, 0);
+  for (const auto& path : {folder.path(), out}) {
+    std::filesystem::permissions(path, static_cast<std::filesystem::perms>(0755));
+  }
 }
 
 TEST(Workspace, AKilledWriterLeavesWholeRecordsAndNoTemporaries) {

@@ -1,4 +1,4 @@
-#include "block_cholesky.h"
+#include "iris/loop/block_cholesky.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/OrderingMethods>

@@ -15,7 +15,7 @@
 #include <opencv2/imgproc.hpp>
 #include <optional>
 
-#include "block_cholesky.h"
+#include "iris/loop/block_cholesky.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
 #include "iris/loop/pose_graph.h"

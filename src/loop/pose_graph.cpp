@@ -12,7 +12,7 @@
 #include <optional>
 #include <queue>
 
-#include "block_cholesky.h"
+#include "iris/loop/block_cholesky.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
 #include "iris/loop/twist.h"

@@ -1,4 +1,4 @@
-#include "src/loop/block_cholesky.h"
+#include "iris/loop/block_cholesky.h"
 
 #include <gtest/gtest.h>
 

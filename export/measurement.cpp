@@ -263,8 +263,7 @@ PickedPoint parse_point(const std::string& text) {
   return point;
 }
 
-Eigen::MatrixXd joint_covariance(const PoseGraph& graph, const std::vector<int>& frames,
-                                 const loop::PoseGraphOptions& options) {
+Eigen::MatrixXd joint_covariance(const PoseGraph& graph, const std::vector<int>& frames) {
   IRIS_CHECK(!frames.empty());
   std::unordered_map<int, const PoseNode*> node_of_frame;
   for (const PoseNode& node : graph.nodes) node_of_frame[node.frame_idx] = &node;
@@ -290,14 +289,12 @@ Eigen::MatrixXd joint_covariance(const PoseGraph& graph, const std::vector<int>&
     const PoseEdge& edge = *edges[e];
     const Pose& world_from_i = node_of_frame.at(edge.i)->world_from_cam;
     const Pose& world_from_j = node_of_frame.at(edge.j)->world_from_cam;
-    const double scale = edge.kind == PoseEdgeKind::loop ? options.loop_sigma : options.odometry_sigma;
-    const Matrix6d information = edge.information / (scale * scale);
     const loop::EdgeJacobians by = loop::edge_jacobians(world_from_i, world_from_j,
                                                         loop::edge_residual(world_from_i, world_from_j, edge.i_from_j));
     const auto [i, j] = pairs[e];
-    if (i >= 0) matrix.add(i, by.by_i.transpose() * information * by.by_i);
-    if (j >= 0) matrix.add(j, by.by_j.transpose() * information * by.by_j);
-    matrix.add_pair(static_cast<int>(e), by.by_i.transpose() * information * by.by_j);
+    if (i >= 0) matrix.add(i, by.by_i.transpose() * edge.information * by.by_i);
+    if (j >= 0) matrix.add(j, by.by_j.transpose() * edge.information * by.by_j);
+    matrix.add_pair(static_cast<int>(e), by.by_i.transpose() * edge.information * by.by_j);
   }
   if (!matrix.factorise()) return Eigen::MatrixXd::Constant(wanted, wanted, std::numeric_limits<double>::infinity());
   Eigen::MatrixXd right = Eigen::MatrixXd::Zero(6 * rows, wanted);
@@ -309,8 +306,7 @@ Eigen::MatrixXd joint_covariance(const PoseGraph& graph, const std::vector<int>&
 }
 
 Measurement measure(const PoseGraph& graph, const views::ViewStore& views, const PickedPoint& a, const PickedPoint& b,
-                    const MeasureOptions& options, const loop::PoseGraphOptions& graph_options,
-                    const std::string& where) {
+                    const MeasureOptions& options, const std::string& where) {
   Finder finder(views, options);
   std::vector<Sighting> of_a = finder.find(a, "A", where), of_b = finder.find(b, "B", where);
   // Views that see both, nearest first: they know the distance without the path.
@@ -344,7 +340,7 @@ Measurement measure(const PoseGraph& graph, const views::ViewStore& views, const
       }
     }
   }
-  const Eigen::MatrixXd joint = joint_covariance(graph, frames, graph_options);
+  const Eigen::MatrixXd joint = joint_covariance(graph, frames);
   std::unordered_map<int, const PoseNode*> node_of_frame;
   for (const PoseNode& node : graph.nodes) node_of_frame[node.frame_idx] = &node;
 

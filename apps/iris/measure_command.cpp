@@ -62,8 +62,7 @@ int run(Measure& state) {
   options.bottom = mapping.bottom, options.top = mapping.bottom + mapping.height, options.low = mapping.bottom - 0.3;
   const auto views = workspace.views(poses, submap, 0);
   const exporters::Measurement m =
-      exporters::measure(workspace.pose_graph(poses), *views, a, b, options, state.arguments.options.library.pose_graph,
-                         workspace.folder().string());
+      exporters::measure(workspace.pose_graph(poses), *views, a, b, options, workspace.folder().string());
   if (!state.json.empty()) {
     const nlohmann::ordered_json json = {{"a", json_of(m.a)},       {"b", json_of(m.b)},
                                          {"horizontal", m.in_plan}, {"distance", m.distance},

@@ -142,6 +142,8 @@ std::vector<std::string> run_loop(const Options& options, workspace::Workspace& 
     spdlog::info("loops: {} of {} pairs of views that may show the same place are accepted", accepted,
                  path.loops.size());
   }
+  path.odometry_sigma = refined.odometry_sigma;
+  path.loop_sigma = refined.loop_sigma;
   path.nodes = refined.graph.nodes;
   for (size_t i = 0; i < path.nodes.size(); ++i) path.nodes[i].covariance = refined.covariance[i];
   path.camera = views.camera();

@@ -40,6 +40,7 @@ CREATE TABLE IF NOT EXISTS view   (frame_idx INTEGER PRIMARY KEY, f REAL NOT NUL
 CREATE TABLE IF NOT EXISTS refined(frame_idx INTEGER PRIMARY KEY, submap INTEGER NOT NULL, world_from_cam BLOB NOT NULL,
                                    covariance BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS world  (submap INTEGER PRIMARY KEY, floor_found INTEGER NOT NULL, alignment TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS sigma (odometry REAL NOT NULL, loop REAL NOT NULL);
 CREATE TABLE IF NOT EXISTS camera (f REAL NOT NULL, cx REAL NOT NULL, cy REAL NOT NULL, baseline REAL NOT NULL,
                                    disparity_offset REAL NOT NULL, calibration TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS loop   (i INTEGER NOT NULL, j INTEGER NOT NULL, i_from_j BLOB NOT NULL, covariance BLOB NOT NULL,
@@ -326,7 +327,7 @@ void Workspace::clear_frames() {
     Transaction transaction(impl_->database);
     impl_->database.run(
         "DELETE FROM frame; DELETE FROM pose; DELETE FROM motion; DELETE FROM view; DELETE FROM value; "
-        "DELETE FROM refined; DELETE FROM world; DELETE FROM camera; DELETE FROM loop");
+        "DELETE FROM refined; DELETE FROM world; DELETE FROM camera; DELETE FROM loop; DELETE FROM sigma");
     transaction.commit();
   }
   std::error_code ignored;
@@ -414,7 +415,8 @@ std::optional<int> Workspace::last_view_frame() const {
 void Workspace::set_refined(const RefinedPath& path) {
   const Database& db = impl_->database;
   Transaction transaction(db);
-  db.run("DELETE FROM refined; DELETE FROM world; DELETE FROM camera; DELETE FROM loop");
+  db.run("DELETE FROM refined; DELETE FROM world; DELETE FROM camera; DELETE FROM loop; DELETE FROM sigma");
+  Statement(db, "INSERT INTO sigma VALUES (?1, ?2)").bind(path.odometry_sigma, path.loop_sigma).step();
   const RectifiedCamera& c = path.camera;
   Statement(db, "INSERT INTO camera VALUES (?1, ?2, ?3, ?4, ?5, ?6)")
       .bind(c.f, c.cx, c.cy, c.baseline, c.disparity_offset, path.calibration)
@@ -497,13 +499,18 @@ PoseGraph Workspace::pose_graph(Poses poses) const {
     if (poses == Poses::refined) node.covariance = select.matrix<Matrix6d>(4);
     graph.nodes.push_back(node);
   }
+  double odometry_sigma = 1, loop_sigma = 1;
+  if (poses == Poses::refined) {
+    Statement sigma(impl_->database, "SELECT odometry, loop FROM sigma");
+    if (sigma.step()) odometry_sigma = sigma.real(0), loop_sigma = sigma.real(1);
+  }
   for_each_frame([&](const FrameRecord& record) {
     if (record.state != FrameState::posed || record.reference_frame < 0) return;
     graph.edges.push_back(
         {.i = record.reference_frame,
          .j = record.frame_idx,
          .i_from_j = record.motion.prev_from_cur,
-         .information = record.motion.covariance.inverse(),
+         .information = record.motion.covariance.inverse() / (odometry_sigma * odometry_sigma),
          .kind = record.motion.status == MotionStatus::guessed ? PoseEdgeKind::guessed : PoseEdgeKind::odometry});
   });
   if (poses == Poses::odometry) return graph;
@@ -512,7 +519,7 @@ PoseGraph Workspace::pose_graph(Poses poses) const {
     graph.edges.push_back({.i = loop.edge.i,
                            .j = loop.edge.j,
                            .i_from_j = loop.edge.i_from_j,
-                           .information = loop.edge.covariance.inverse(),
+                           .information = loop.edge.covariance.inverse() / (loop_sigma * loop_sigma),
                            .kind = PoseEdgeKind::loop});
   }
   return graph;

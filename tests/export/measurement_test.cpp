@@ -70,7 +70,7 @@ struct World {
       if (k > 0) graph.nodes[k].world_from_cam = graph.nodes[k - 1].world_from_cam * graph.edges.back().i_from_j;
     }
     for (const int k : {0, 5, 9}) edge(k, k + kRound, PoseEdgeKind::loop);
-    const loop::RefinedGraph refined = loop::refine(graph, options());
+    const loop::RefinedGraph refined = loop::refine(graph, {.sigma = 1, .estimate_sigma = false});
     for (size_t k = 0; k < refined.graph.nodes.size(); ++k) {
       graph.nodes[k].world_from_cam = refined.graph.nodes[k].world_from_cam;
       graph.nodes[k].covariance = refined.covariance[k];
@@ -87,12 +87,6 @@ struct World {
       }
       views.push_back(std::move(view));
     }
-  }
-
-  static loop::PoseGraphOptions options() {
-    loop::PoseGraphOptions options;
-    options.odometry_sigma = options.loop_sigma = 1;
-    return options;
   }
 
   // Where the surface really is that a view measured in a pixel.
@@ -128,9 +122,8 @@ Errors errors_of(double shift, double turn, double disparity_error, double pixel
     for (int pair = 0; pair < 40; ++pair) {
       const PickedPoint a = pick(), b = pick();
       if ((a.xy - b.xy).norm() < 0.5) continue;
-      const Measurement m =
-          measure(world.graph, store, a, b, {.pixel_error = pixel_error, .low = -1.3, .bottom = -1.1, .top = 1.3},
-                  World::options(), "OUT");
+      const Measurement m = measure(world.graph, store, a, b,
+                                    {.pixel_error = pixel_error, .low = -1.3, .bottom = -1.1, .top = 1.3}, "OUT");
       Eigen::Vector3d way = world.true_point(m.b) - world.true_point(m.a);
       if (plan) way.z() = 0;
       EXPECT_EQ(m.in_plan, plan);
@@ -185,8 +178,7 @@ TEST(Measurement, TwoPointsOfOneViewCarryTheErrorOfReconstructionAlone) {
     const Eigen::Vector3d p = view.world_from_cam * kCamera.point(x, y, view.disparity.disparity(y, x));
     return PickedPoint{.xy = p.head<2>(), .z = p.z()};
   };
-  const Measurement m =
-      measure(world.graph, store, point(30, 40), point(120, 80), {.pixel_error = 0.1}, World::options(), "OUT");
+  const Measurement m = measure(world.graph, store, point(30, 40), point(120, 80), {.pixel_error = 0.1}, "OUT");
   EXPECT_EQ(m.a.frame_idx, m.b.frame_idx);
   EXPECT_EQ(m.path, 0);
   const Pose cam_from_world = world.views[static_cast<size_t>(m.a.frame_idx)].world_from_cam.inverse();
@@ -208,8 +200,6 @@ TEST(Measurement, JointCovarianceIsThatOfTheGraph) {
       {.i = 1, .j = 4, .i_from_j = world.truth[1].inverse() * world.truth[4], .kind = PoseEdgeKind::loop});
   graph.edges.back().information *= 4e4;
   graph.nodes.push_back({.frame_idx = 90, .submap = 1});  // another sub-map is not looked at
-  loop::PoseGraphOptions options;
-  options.odometry_sigma = 2, options.loop_sigma = 3;
   Eigen::MatrixXd dense = Eigen::MatrixXd::Zero(30, 30);
   for (const PoseEdge& edge : graph.edges) {
     const Pose &i = graph.nodes[edge.i].world_from_cam, &j = graph.nodes[edge.j].world_from_cam;
@@ -224,12 +214,11 @@ TEST(Measurement, JointCovarianceIsThatOfTheGraph) {
                                 loop::edge_residual(i, moved(j, -step), edge.i_from_j)) /
                                (2 * h);
     }
-    const double scale = edge.kind == PoseEdgeKind::loop ? 3 : 2;
     const Eigen::MatrixXd free = by.rightCols(30);
-    dense += free.transpose() * (edge.information / (scale * scale)) * free;
+    dense += free.transpose() * edge.information * free;
   }
   const Eigen::MatrixXd expected = dense.inverse();
-  const Eigen::MatrixXd joint = joint_covariance(graph, {2, 5, 0}, options);
+  const Eigen::MatrixXd joint = joint_covariance(graph, {2, 5, 0});
   const auto block = [&](int i, int j) { return expected.block<6, 6>(6 * (i - 1), 6 * (j - 1)); };
   const double scale = expected.cwiseAbs().maxCoeff();
   EXPECT_LT((joint.block<6, 6>(0, 0) - block(2, 2)).cwiseAbs().maxCoeff(), 1e-6 * scale);
@@ -252,8 +241,7 @@ TEST(Measurement, PointsThatNothingMeasuredAreRefusedWithWhatToDo) {
   const views::MemoryViewStore store(world.views);
   const auto problem = [&](const PickedPoint& a, double radius = 0.1) {
     return problem_of([&] {
-      measure(world.graph, store, a, {.xy = {2.27, 0}, .z = 0.1}, {.radius = radius, .bottom = -1, .top = 1},
-              World::options(), "OUT");
+      measure(world.graph, store, a, {.xy = {2.27, 0}, .z = 0.1}, {.radius = radius, .bottom = -1, .top = 1}, "OUT");
     });
   };
   EXPECT_EQ(problem({.xy = {2.27, 0.3}, .z = 0.2}), "");

@@ -55,6 +55,8 @@ struct RefinedPath {
   std::vector<PoseNode> nodes;      // of all frames with a pose, in their order; worlds are z up
   std::vector<WorldRecord> worlds;  // one a sub-map
   std::vector<LoopRecord> loops;
+  // [times] by which errors of odometry and of loops are larger than their covariances say (loop::RefinedGraph).
+  double odometry_sigma = 1, loop_sigma = 1;
   RectifiedCamera camera;   // of all views, with what the recording told about its calibration
   std::string calibration;  // what that was, for people; empty = nothing could be told
 };
@@ -116,7 +118,8 @@ class Workspace {
   std::vector<WorldRecord> worlds() const;
   std::string calibration() const;  // RefinedPath::calibration; empty before the loop stage
 
-  // Poses of all frames that have one with their odometry edges and, of the refined path, its accepted loops.
+  // Poses of all frames that have one with their odometry edges and, of the refined path, its accepted loops; edges of
+  // the refined path state the errors that the loop stage found them to have.
   PoseGraph pose_graph(Poses poses) const;
 
   // The stored views of one sub-map (or of all: submap < 0), read on demand through a cache of at most `cache_bytes`.

@@ -66,8 +66,8 @@ std::vector<motion::ViewFeatures> features_of(const Sequence& sequence, const st
   parallel_chunks(0, static_cast<int>(features.size()), 1, [&](int begin, int end) {
     for (int i = begin; i < end; ++i) {
       const StereoPair& pair = sequence.pairs[static_cast<size_t>(i) * static_cast<size_t>(stride)];
-      features[static_cast<size_t>(i)] =
-          motion::extract_features(pair.left, stereo::mwmf(pair.left, pair.right, stereo), sequence.camera, options);
+      features[static_cast<size_t>(i)] = motion::extract_features(
+          pair.left, stereo::mwmf(pair.left, pair.right, stereo), sequence.camera, options, pair.right);
     }
   });
   return features;

@@ -35,6 +35,10 @@ struct ScsOptions {
   double max_rms_px = 0.5;              // [px] image error per coordinate that a good motion does not exceed
   double max_rotation_error = 1.0;      // [deg] an estimate whose rotation is less certain (one sigma) is degenerate
   double max_translation_error = 0.02;  // part of the median depth of the points by which the translation may be off
+  // [times] by which variances are larger than the residuals show: bounded errors still count in the Hessian as if they
+  // told something, and surroundings that are no plane move differently from what is taken for the corner. Measured on
+  // simulated rooms and boxes: docs/thesis.md, chapter 5.
+  double inflation = 1.5;
   // More than one earlier view (image model only).
   int window = 1;            // earlier views that a motion is measured against; 1 = the previous one, as in the thesis
   int window_corners = 100;  // most corners of each of the others

@@ -64,7 +64,7 @@ void add_colours(const SightRays& rays, const TileRays::Tile& task, const mappin
 // Log-odds of a cube; 0 = unknown.
 float log_odds(const FlogCell& cell, const OctreeOptions& options) {
   if (static_cast<int64_t>(cell.rays) < options.min_rays) return 0;
-  const double E = cell.empty, O = cell.occupied;
+  const double E = cell.mu_empty(), O = cell.mu_occupied();
   const bool surface = O >= kSurface;
   if (!surface && std::min(1 - E, 1 - O) > 0.5) return 0;
   const double share = O / (E + O);

@@ -54,6 +54,9 @@ void FlogOptions::declare(OptionSet& set) {
           "least half width of a measured surface; 0 loses surfaces that are measured more finely than a cell");
   set.add("max_range", max_range, "m", 0.1, 10000, "rays are cut at this distance; what lies beyond stays unknown");
   set.add("ray_step", ray_step, "px", 1, 64, "every n-th row and column gives rays: faster, less evidence");
+  set.add("bundle", bundle, "cells", 0, 10,
+          "rays of neighbouring pixels are followed together through empty space while they are within this of each "
+          "other: faster; 0 = every ray by itself, as in the thesis");
   set.add("min_move", min_move, "cells", 0, 10000, "a view is added if it moved this far since the last added one …");
   set.add("min_turn", min_turn, "fields of view", 0, 10, "… or turned by more than this part of the field of view");
   set.add("min_confidence", min_confidence, "", 0, 1,
@@ -104,26 +107,18 @@ bool FlogBuilder::add(const StereoView& view) {
                        .box = {options_.cell, options_.cell, map_.slice_height()},
                        .tile_boxes = {FlogMap::kTileCells, FlogMap::kTileCells, map_.all_slices()},
                        .single_layer_of_tiles = true};
-  const TileRays sorted = sort_by_tile(rays, grid);
-  if (sorted.tiles.empty()) return true;
-  Eigen::Vector3i low = sorted.tiles.front().index, high = low;
-  for (const TileRays::Tile& tile : sorted.tiles) low = low.cwiseMin(tile.index), high = high.cwiseMax(tile.index);
-  grow_table(map_, low.x(), low.y(), high.x(), high.y());
   // Nt = 3 NK: what was seen long ago gives way to what is seen now.
-  const uint32_t max_rays = 3 * static_cast<uint32_t>(map_.full_rays);
-  parallel_chunks(0, static_cast<int>(sorted.tiles.size()), 1, [&](int begin, int end) {
-    for (int i = begin; i < end; ++i) {
-      const TileRays::Tile& task = sorted.tiles[static_cast<size_t>(i)];
-      std::unique_ptr<FlogMap::Tile>& tile =
-          map_.tiles[static_cast<size_t>(task.index.y() - map_.tile_y0) * map_.tiles_x +
-                     (task.index.x() - map_.tile_x0)];
-      if (!tile) {
-        tile = std::make_unique<FlogMap::Tile>();
-        tile->cells.resize(static_cast<size_t>(grid.tile_boxes.prod()));
-      }
-      fuse_rays(rays, task.rays, grid, task.index, max_rays, tile->cells);
-      tile->viewpoints.push_back(viewpoint);
+  const FusionOptions fusion{.max_rays = 3 * static_cast<uint32_t>(map_.full_rays), .bundle = options_.bundle};
+  fuse_view(rays, grid, fusion, [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
+    grow_table(map_, index.x(), index.y(), index.x(), index.y());
+    std::unique_ptr<FlogMap::Tile>& tile =
+        map_.tiles[static_cast<size_t>(index.y() - map_.tile_y0) * map_.tiles_x + (index.x() - map_.tile_x0)];
+    if (!tile) {
+      tile = std::make_unique<FlogMap::Tile>();
+      tile->cells.resize(static_cast<size_t>(grid.tile_boxes.prod()));
     }
+    if (tile->viewpoints.empty() || tile->viewpoints.back() != viewpoint) tile->viewpoints.push_back(viewpoint);
+    return tile->cells;
   });
   return true;
 }
@@ -138,7 +133,7 @@ struct CellValue {
   float K;
 };
 CellValue value_of(const FlogCell& cell, int full_rays) {
-  const float E = cell.empty, O = cell.occupied;
+  const float E = cell.mu_empty(), O = cell.mu_occupied();
   const float I = std::min(1 - E, 1 - O);
   return {1 - std::max(std::min(E, 1 - O), I),
           std::min(1.0f, static_cast<float>(cell.rays) / static_cast<float>(full_rays))};  // (6.3)
@@ -156,9 +151,9 @@ TileStates states_of(const FlogMap& map, const FlogOptions& options) {
         const FlogCell& cell = tile->cells[i];
         MapState state = MapState::unknown;
         if (cell.rays > 0 && static_cast<double>(value_of(cell, map.full_rays).K) >= options.min_confidence) {
-          if (static_cast<double>(cell.occupied) >= options.occupied_level) {
+          if (static_cast<double>(cell.mu_occupied()) >= options.occupied_level) {
             state = MapState::occupied;
-          } else if (cell.empty > 0.5f) {
+          } else if (cell.mu_empty() > 0.5f) {
             state = MapState::free;
           }
         }

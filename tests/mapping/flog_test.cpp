@@ -217,16 +217,17 @@ TEST(Rasterise, FollowsTheFuzzyRules) {
   map.tiles.push_back(std::make_unique<FlogMap::Tile>());
   constexpr int kSide = FlogMap::kTileCells;
   map.tiles[0]->cells.resize(2 * kSide * kSide);
+  const auto fixed = [](double membership) { return static_cast<uint16_t>(std::lround(membership * FlogCell::kOne)); };
   const auto cell = [&](int x, int y, int layer) -> FlogCell& {
     return map.tiles[0]->cells[static_cast<size_t>((layer * kSide + y) * kSide + x)];
   };
   // Column 62 of the tile is world cell -2: x from -1.0 to -0.5 m.
-  cell(62, 3, 0) = {0.9f, 0.1f, 100};  // free
-  cell(63, 3, 0) = {0.2f, 0.7f, 50};   // occupied, half the confidence
-  cell(62, 4, 0) = {0.1f, 0.2f, 100};  // indeterminate
-  cell(63, 4, 0) = {1, 0, 0};          // untouched
-  cell(63, 4, 1) = {0.6f, 0.4f, 200};  // partly filled, in the upper layer
-  cell(60, 4, 1) = {0, 1, 1};          // one ray: K = 0.01 is just enough
+  cell(62, 3, 0) = {fixed(0.9), fixed(0.1), 100};  // free
+  cell(63, 3, 0) = {fixed(0.2), fixed(0.7), 50};   // occupied, half the confidence
+  cell(62, 4, 0) = {fixed(0.1), fixed(0.2), 100};  // indeterminate
+  cell(63, 4, 0) = {fixed(1), fixed(0), 0};        // untouched
+  cell(63, 4, 1) = {fixed(0.6), fixed(0.4), 200};  // partly filled, in the upper layer
+  cell(60, 4, 1) = {fixed(0), fixed(1), 1};        // one ray: K = 0.01 is just enough
   FlogOptions options;
   options.min_confidence = 0.02;
   const MapRaster raster = rasterise(map, options);
@@ -237,13 +238,13 @@ TEST(Rasterise, FollowsTheFuzzyRules) {
   EXPECT_DOUBLE_EQ(raster.x_of(2), -0.75);
   EXPECT_DOUBLE_EQ(raster.y_of(1), 1.75);
   // Row 1 is y = 3. (6.4) by hand: M = not((E and not O) or I) and K, I = not E and not O.
-  EXPECT_NEAR(raster.M(1, 2), 1 - 0.9, 1e-6);
-  EXPECT_NEAR(raster.M(1, 3), 0.5, 1e-6);  // min(1 - max(0.2, 0.3), K)
-  EXPECT_NEAR(raster.U(1, 3), 0.7, 1e-6);
-  EXPECT_NEAR(raster.M(0, 2), 0.2, 1e-6);  // I = 0.8
-  EXPECT_NEAR(raster.layer_M[1](0, 3), 0.4, 1e-6);
-  EXPECT_NEAR(raster.M(0, 3), 0.4, 1e-6);
-  EXPECT_NEAR(raster.M(0, 0), 0.01, 1e-6);
+  EXPECT_NEAR(raster.M(1, 2), 1 - 0.9, 2e-5);
+  EXPECT_NEAR(raster.M(1, 3), 0.5, 2e-5);  // min(1 - max(0.2, 0.3), K)
+  EXPECT_NEAR(raster.U(1, 3), 0.7, 2e-5);
+  EXPECT_NEAR(raster.M(0, 2), 0.2, 2e-5);  // I = 0.8
+  EXPECT_NEAR(raster.layer_M[1](0, 3), 0.4, 2e-5);
+  EXPECT_NEAR(raster.M(0, 3), 0.4, 2e-5);
+  EXPECT_NEAR(raster.M(0, 0), 0.01, 2e-5);
   const cv::Mat1b expected = (cv::Mat1b(2, 4) << 0, 0, 0, 2, 0, 0, 1, 2);
   EXPECT_EQ(cv::norm(raster.state, expected, cv::NORM_INF), 0);
   EXPECT_EQ(cv::norm(raster.known, expected > 0, cv::NORM_INF), 254);        // 0/1 against 0/255

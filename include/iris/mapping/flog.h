@@ -27,6 +27,7 @@ struct FlogOptions {
                              // 0, 243 with 0.5, all with 1
   double max_range = 20;     // [m] rays are cut here; what lies beyond is left unknown
   int ray_step = 1;          // [px] every n-th row and column gives rays (the thesis uses every second row)
+  double bundle = 0.5;       // [cells] rays that lie within this of each other are followed together where it is empty
   double min_move = 4;       // [cells] a view that moved less since the last added one …
   double min_turn = 0.5;     // [fields of view] … and did not turn by more is not added (6.3.3)
   double min_confidence = 0.05;  // K of (6.3) below which a cell is unknown in the trinary map

@@ -4,6 +4,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <vector>
 
@@ -19,11 +20,15 @@ struct SightRay {
   float error;                // e of (6.1): half the width of the triangle around the point
   float end;                  // nothing is said at or beyond this distance: lc + e, or where the ray is cut
   int pixel;                  // y * width + x of the pixel that measured it
+  int row = 0, column = 0;    // of that pixel, in steps
 };
 
 struct SightRays {
   Eigen::Vector3d origin;  // optical centre
   std::vector<SightRay> rays;
+  // Of a picture: rays by rows, `columns` in a row, seen `spacing` [rad] apart at most. 0 = no picture.
+  int columns = 0;
+  double spacing = 0;
 };
 
 struct RayOptions {
@@ -38,31 +43,36 @@ struct RayOptions {
 // Rays of all disparities up to within_segment, row by row, in the world frame.
 SightRays sight_rays(const StereoView& view, const RayOptions& options);
 
-// A grid of boxes in tiles. Box (i, j, k) covers [i, i+1) x [j, j+1) x [k, k+1) times `box`, from `origin` on.
+// A grid of boxes in tiles, whose numbers of boxes are powers of two. Box (i, j, k) covers [i, i+1) x [j, j+1) x [k,
+// k+1) times `box`, from `origin` on.
 struct TiledGrid {
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();  // [m]
   Eigen::Vector3d box;                               // [m] size of a box
   Eigen::Vector3i tile_boxes;                        // boxes of a tile along x, y, z
-  bool single_layer_of_tiles = false;                // only tiles with z index 0 exist
+  bool single_layer_of_tiles = false;                // only tiles with z index 0 exist, of any number of boxes along z
 };
 
-// The rays that cross each tile, in the order of the rays. Tiles in ascending order (z, y, x).
-struct TileRays {
-  struct Tile {
-    Eigen::Vector3i index;
-    std::vector<uint32_t> rays;
-  };
-  std::vector<Tile> tiles;
+struct FusionOptions {
+  uint32_t max_rays = 1;  // Nt: N of a box is capped at it (6.3.2)
+  // [boxes] Rays of neighbouring pixels are followed together through empty space as long as they are within this of
+  // each other (a block of 2, 4 or 8 pixels a side): along the middle of the block, counted as so many rays. Where any
+  // of them says more than that it is empty (6.1), they go apart. Moves a part of their count into a neighbouring box,
+  // but no membership. 0 = every ray by itself.
+  double bundle = 0;
 };
-TileRays sort_by_tile(const SightRays& rays, const TiledGrid& grid);
 
-// Updates the boxes of one tile ([z][y][x]) with the rays of `selection`, one after the other: (6.1) and (6.2).
-// A ray updates each box that it crosses once. r is the distance of the point that is nearest to the box's middle among
-// the points of the ray inside the box: a point outside would say where the surface is in a neighbour (layers are much
-// higher than cells are wide, and a tilted ray passes the middle's height far from the box). In a rendered room that
-// leaves 107 occupied cells beside the 298 of the walls, instead of 361. The tile's floats depend on the order of the
-// rays in the last bits, and beyond Nt rays altogether: keep it.
-void fuse_rays(const SightRays& rays, std::span<const uint32_t> selection, const TiledGrid& grid,
-               const Eigen::Vector3i& tile_index, uint32_t max_rays, std::span<FlogCell> tile);
+// The boxes [z][y][x] of a tile, or none if it is of no interest.
+using TileOf = std::function<std::span<FlogCell>(const Eigen::Vector3i& index)>;
+
+// Updates all boxes that the rays of a view cross: (6.1) and (6.2). The rays of a view come at the same time, so that
+// all of them count alike: n rays move a membership mu to (N mu + sum of mu_i) / (N + n), which is what (6.2) gives one
+// after the other as long as N is below its cap. Sums of integers (at most 65535 rays a sum, then the cells are
+// updated): the result does not depend on the number of threads. `tile_of` is called by one thread at a time, in
+// ascending order (z, y, x), possibly more than once a tile. A ray updates each box that it crosses once. r is the
+// distance of the point that is nearest to the box's middle among the points of the ray inside the box: a point outside
+// would say where the surface is in a neighbour (layers are much higher than cells are wide, and a tilted ray passes
+// the middle's height far from the box). In a rendered room that leaves 107 occupied cells beside the 298 of the walls,
+// instead of 361.
+void fuse_view(const SightRays& rays, const TiledGrid& grid, const FusionOptions& options, const TileOf& tile_of);
 
 }  // namespace iris::mapping

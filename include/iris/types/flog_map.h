@@ -10,13 +10,16 @@
 
 namespace iris {
 
-// State of one cell of the fuzzy layered occupancy grid (thesis 6.3).
-// Floats, because N of (6.2) reaches tens of thousands (5 cm x 70 cm cells, f = 436 px: 3 NK = 19 983): an update then
-// moves a membership by less than 1/20 000, and 16 bits stop moving as soon as it is within 0.15 of the measurement.
+// State of one cell of the fuzzy layered occupancy grid (thesis 6.3), memberships in fixed point.
 struct FlogCell {
-  float empty = 0;     // muE in [0, 1]
-  float occupied = 0;  // muO in [0, 1]
-  uint32_t rays = 0;   // N, capped at 3 NK
+  static constexpr uint16_t kOne = 65535;  // a membership of 1
+
+  uint16_t empty = 0;     // muE * kOne
+  uint16_t occupied = 0;  // muO * kOne
+  uint32_t rays = 0;      // N, capped at 3 NK
+
+  float mu_empty() const { return static_cast<float>(empty) / kOne; }
+  float mu_occupied() const { return static_cast<float>(occupied) / kOne; }
 };
 
 // Layered grid in tiles. World frame: z up [m]. Cell (ix, iy) covers [ix, ix+1) x [iy, iy+1) times cell_size; layer k

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -13,7 +14,6 @@
 
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
-#include "iris/core/parallel.h"
 #include "iris/mapping/ray_fusion.h"
 
 namespace iris::exporters {
@@ -21,11 +21,12 @@ namespace {
 
 using mapping::SightRay;
 using mapping::SightRays;
-using mapping::TileRays;
 
 constexpr int kSide = 16;  // cubes along a side of a tile
 constexpr int kCubes = kSide * kSide * kSide;
 constexpr double kSurface = 0.35;  // membership of occupancy from here on is a surface
+constexpr int kRegionTiles = 48;   // tiles along a side of a region, of any height
+constexpr double kBundle = 0.5;    // as FlogOptions::bundle
 
 struct ColourSum {
   std::array<uint64_t, 3> bgr = {};
@@ -44,17 +45,27 @@ cv::Vec3b colour_at(const cv::Mat& image, int pixel) {
   return image.channels() == 3 ? image.at<cv::Vec3b>(y, x) : cv::Vec3b::all(image.at<uint8_t>(y, x));
 }
 
+using Tiles = std::map<TileIndex, Tile>;
+
 // Sums of integers: their order does not matter.
-void add_colours(const SightRays& rays, const TileRays::Tile& task, const mapping::TiledGrid& grid,
-                 const cv::Mat& image, Tile& tile) {
-  const Eigen::Vector3i low = task.index * kSide;
-  for (const uint32_t i : task.rays) {
-    const SightRay& ray = rays.rays[i];
+void add_colours(const SightRays& rays, double resolution, const cv::Mat& image, Tiles& tiles) {
+  static_assert((kSide & (kSide - 1)) == 0);
+  constexpr int kShift = std::countr_zero(static_cast<unsigned>(kSide));
+  TileIndex last_index;
+  Tile* last = nullptr;
+  for (const SightRay& ray : rays.rays) {
     if (ray.length >= ray.end) continue;  // cut before its point
     const Eigen::Vector3d point = rays.origin + ray.direction.cast<double>() * ray.length;
-    const Eigen::Vector3i cube = point.cwiseQuotient(grid.box).array().floor().cast<int>().matrix() - low;
-    if (cube.minCoeff() < 0 || cube.maxCoeff() >= kSide) continue;
-    ColourSum& sum = tile.colours[(cube.z() * kSide + cube.y()) * kSide + cube.x()];
+    const Eigen::Vector3i cube = (point / resolution).array().floor().cast<int>();
+    const TileIndex index = {cube.z() >> kShift, cube.y() >> kShift, cube.x() >> kShift};
+    if (!last || index != last_index) {
+      const auto found = tiles.find(index);
+      if (found == tiles.end()) continue;
+      last = &found->second;
+      last_index = index;
+    }
+    const auto in_tile = [](int i) { return i & (kSide - 1); };
+    ColourSum& sum = last->colours[(in_tile(cube.z()) * kSide + in_tile(cube.y())) * kSide + in_tile(cube.x())];
     const cv::Vec3b colour = colour_at(image, ray.pixel);
     for (int c = 0; c < 3; ++c) sum.bgr[static_cast<size_t>(c)] += colour[c];
     ++sum.count;
@@ -82,31 +93,47 @@ std::string bytes_of(const octomap::AbstractOcTree& tree) {
   return std::move(stream).str();
 }
 
-// Moves finished tiles into the octree, where empty space shrinks to a few nodes.
+constexpr int kCentre = 1 << 15;  // key of the cube whose lower corner is the origin
+
+bool is_inside(const std::array<int, 3>& cube) {
+  return std::all_of(cube.begin(), cube.end(), [](int k) { return k >= -kCentre && k < kCentre; });
+}
+
+octomap::OcTreeKey key_of(const std::array<int, 3>& cube) {
+  const auto key = [](int k) { return static_cast<octomap::key_type>(k + kCentre); };
+  return {key(cube[0]), key(cube[1]), key(cube[2])};
+}
+
+// Moves a finished tile into the octree, where empty space shrinks to a few nodes.
 void store_tile(const TileIndex& index, const Tile& tile, const OctreeOptions& options, octomap::ColorOcTree& tree,
                 OctreeSummary& summary) {
   const auto [tz, ty, tx] = index;
-  constexpr int kCentre = 1 << 15;  // key of the cube whose lower corner is the origin
   for (int i = 0; i < kCubes; ++i) {
     const float value = log_odds(tile.cells[static_cast<size_t>(i)], options);
     if (value == 0) continue;
     const std::array<int, 3> cube = {tx * kSide + i % kSide, ty * kSide + i / kSide % kSide,
                                      tz * kSide + i / (kSide * kSide)};
-    octomap::OcTreeKey key;
-    bool inside = true;
-    for (size_t a = 0; a < 3; ++a) {
-      const int k = cube[a] + kCentre;
-      inside = inside && k >= 0 && k < 2 * kCentre;
-      key[static_cast<unsigned>(a)] = static_cast<octomap::key_type>(k);
-    }
-    if (!inside) continue;
-    octomap::ColorOcTreeNode* node = tree.setNodeValue(key, value, true);
+    if (!is_inside(cube)) continue;
+    octomap::ColorOcTreeNode* node = tree.setNodeValue(key_of(cube), value, true);
     ++(value > 0 ? summary.occupied : summary.free);
     const auto found = value > 0 ? tile.colours.find(i) : tile.colours.end();
     if (found == tile.colours.end()) continue;
     const ColourSum& sum = found->second;
     const auto mean = [&](size_t c) { return static_cast<uint8_t>((sum.bgr[c] + sum.count / 2) / sum.count); };
     node->setColor(mean(2), mean(1), mean(0));
+  }
+  // At once, or the leaves of all empty space would be held until the end.
+  const unsigned depth = tree.getTreeDepth();
+  for (unsigned level = 1; (1 << level) <= kSide; ++level) {
+    const int side = 1 << level;
+    for (int i = 0; i < kCubes / (side * side * side); ++i) {
+      const int n = kSide / side;
+      const std::array<int, 3> cube = {tx * kSide + i % n * side, ty * kSide + i / n % n * side,
+                                       tz * kSide + i / (n * n) * side};
+      const octomap::OcTreeKey key = key_of(cube);
+      octomap::ColorOcTreeNode* node = is_inside(cube) ? tree.search(key, depth - level) : nullptr;
+      if (node && tree.nodeHasChildren(node)) tree.pruneNode(node);
+    }
   }
 }
 
@@ -132,46 +159,51 @@ OctreeSummary write_octree(const std::filesystem::path& folder, const views::Vie
   for (const views::ViewSummary& view : summaries) IRIS_CHECK(view.submap == summaries.front().submap);
   const mapping::TiledGrid grid{.box = Eigen::Vector3d::Constant(options.resolution),
                                 .tile_boxes = Eigen::Vector3i::Constant(kSide)};
-  const double tile_size = kSide * options.resolution;
   octomap::ColorOcTree tree(options.resolution);
   OctreeSummary summary;
-  std::map<TileIndex, Tile> tiles;
+
+  // Region after region, each with the views that reach it: memory grows neither with the session nor with loops.
+  const double tile_size = kSide * options.resolution, reach = options.max_range + options.resolution;
+  const auto tile_of = [&](double metres) { return static_cast<int>(std::floor(metres / tile_size)); };
+  Eigen::Vector3d corner = Eigen::Vector3d::Zero();  // the first region begins where the first tile can be
   for (int v = 0; v < count; ++v) {
-    const auto view = views.load(v);
-    const SightRays rays = mapping::sight_rays(*view, {.min_disparity = options.min_disparity,
-                                                       .pixel_error = options.pixel_error,
-                                                       .min_error = options.resolution,
-                                                       .max_range = options.max_range,
-                                                       .step = options.ray_step});
-    const TileRays sorted = mapping::sort_by_tile(rays, grid);
-    std::vector<Tile*> touched;
-    for (const TileRays::Tile& task : sorted.tiles) {
-      touched.push_back(&tiles[{task.index.z(), task.index.y(), task.index.x()}]);
+    const Eigen::Vector3d low = summaries[static_cast<size_t>(v)].world_from_cam.translation().array() - reach;
+    corner = v == 0 ? low : Eigen::Vector3d(corner.cwiseMin(low));
+  }
+  const int first_x = tile_of(corner.x()), first_y = tile_of(corner.y());
+  std::map<std::pair<int, int>, std::vector<int>> regions;  // y, x
+  for (int v = 0; v < count; ++v) {
+    const Eigen::Vector3d camera = summaries[static_cast<size_t>(v)].world_from_cam.translation();
+    const auto region_of = [&](double metres, int first) { return (tile_of(metres) - first) / kRegionTiles; };
+    for (int y = region_of(camera.y() - reach, first_y); y <= region_of(camera.y() + reach, first_y); ++y) {
+      for (int x = region_of(camera.x() - reach, first_x); x <= region_of(camera.x() + reach, first_x); ++x) {
+        regions[{y, x}].push_back(v);
+      }
     }
-    // Nt = 3 NK as for the map.
-    const double cube_px = view->camera.f * options.resolution / options.ray_step;
-    const auto max_rays = static_cast<uint32_t>(std::max(3.0, std::round(3 * cube_px * cube_px)));
-    parallel_chunks(0, static_cast<int>(touched.size()), 1, [&](int begin, int end) {
-      for (int i = begin; i < end; ++i) {
-        const auto at = static_cast<size_t>(i);
-        mapping::fuse_rays(rays, sorted.tiles[at].rays, grid, sorted.tiles[at].index, max_rays, touched[at]->cells);
-        add_colours(rays, sorted.tiles[at], grid, view->image, *touched[at]);
-      }
-    });
-    // Tiles that no later view can reach are finished: memory does not grow with the session.
-    std::erase_if(tiles, [&](const auto& entry) {
-      const auto& [index, tile] = entry;
-      const Eigen::Vector3d low =
-          Eigen::Vector3d(std::get<2>(index), std::get<1>(index), std::get<0>(index)) * tile_size;
-      const Eigen::Vector3d high = low + Eigen::Vector3d::Constant(tile_size);
-      for (int later = v + 1; later < count; ++later) {
-        const Eigen::Vector3d camera = summaries[static_cast<size_t>(later)].world_from_cam.translation();
-        const Eigen::Vector3d nearest = camera.cwiseMax(low).cwiseMin(high);
-        if ((nearest - camera).norm() <= options.max_range + 1e-6) return false;
-      }
-      store_tile(index, tile, options, tree, summary);
-      return true;
-    });
+  }
+  for (const auto& [region, of_region] : regions) {
+    const auto& [region_y, region_x] = region;
+    Tiles tiles;
+    for (const int v : of_region) {
+      const auto view = views.load(v);
+      const SightRays rays = mapping::sight_rays(*view, {.min_disparity = options.min_disparity,
+                                                         .pixel_error = options.pixel_error,
+                                                         .min_error = options.resolution,
+                                                         .max_range = options.max_range,
+                                                         .step = options.ray_step});
+      // Nt = 3 NK as for the map.
+      const double cube_px = view->camera.f * options.resolution / options.ray_step;
+      const auto max_rays = static_cast<uint32_t>(std::max(3.0, std::round(3 * cube_px * cube_px)));
+      mapping::fuse_view(rays, grid, {.max_rays = max_rays, .bundle = kBundle},
+                         [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
+                           const bool here = (index.x() - first_x) / kRegionTiles == region_x &&
+                                             (index.y() - first_y) / kRegionTiles == region_y;
+                           if (!here) return {};
+                           return tiles[{index.z(), index.y(), index.x()}].cells;
+                         });
+      add_colours(rays, options.resolution, view->image, tiles);
+    }
+    for (const auto& [index, tile] : tiles) store_tile(index, tile, options, tree, summary);
   }
   if (tree.size() > 0) tree.updateInnerOccupancy();  // ColorOcTree follows its root unchecked
   tree.prune();

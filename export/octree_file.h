@@ -37,6 +37,9 @@ struct OctreeSummary {
 // 1/2, and c = N / (N + 4) for the N rays of the cube: few rays say little. p is clamped to OctoMap's 0.1192 ... 0.971;
 // log(p / (1-p)) is rounded to steps of 1/8, so that large empty space can be pruned, and is at least one step away
 // from undecided. The files are the same, byte for byte, for any number of threads.
+//
+// Memory: the finished octree, in which empty space is pruned, and the cubes of one region of 768 x 768 cubes at a time
+// (8 bytes each, where a ray came). Views near the border of regions are read for each of them.
 OctreeSummary write_octree(const std::filesystem::path& folder, const views::ViewStore& views,
                            const OctreeOptions& options);
 

@@ -159,7 +159,7 @@ MapErrors evaluate_map(const GridMap& estimate, const GridMap& truth, const Pose
     const bool hole = truth.at(there) == Cell::occupied && !near_estimate(cell);
     ++errors.free;
     errors.free_wrong += hole;
-    errors.free_unseen += !hole && !near_true_free(there);
+    errors.free_unseen += truth.at(there) == Cell::unknown && !near_true_free(there);
   });
   for_each_cell(truth, Cell::occupied, [&](cv::Point cell) {
     ++errors.true_occupied;

@@ -70,9 +70,8 @@ class Sight {
   int top_;
 };
 
-// What hides: the occupied cells, and those between two occupied ones above each other that are no farther apart than a
-// layer is high. Walls stand upright; where their texture repeats itself, they are found in patches, and wrong matches
-// look through the holes.
+// What hides: the occupied cells, and what lies between two occupied ones above each other. Walls stand upright; where
+// their texture repeats itself, they are found in patches, and wrong matches look through the holes.
 TileStates obstacles_of(const FlogMap& map, const TileStates& states) {
   constexpr auto kOccupied = static_cast<uint8_t>(MapState::occupied);
   constexpr size_t kSlice = static_cast<size_t>(kSide) * kSide;
@@ -84,7 +83,7 @@ TileStates obstacles_of(const FlogMap& map, const TileStates& states) {
         int below = -1;  // slice of the last occupied cell
         for (int z = 0; z < map.all_slices(); ++z) {
           if (tile[static_cast<size_t>(z) * kSlice + column] != kOccupied) continue;
-          if (below >= 0 && z - below <= map.slices) {
+          if (below >= 0) {
             for (int between = below + 1; between < z; ++between) {
               tile[static_cast<size_t>(between) * kSlice + column] = kOccupied;
             }

@@ -57,5 +57,7 @@ bool count_instructions(const std::string& work);
 
 // Prints how good the disparities are, IRIS's and its peers'.
 void print_quality();
+// Prints how good maps are, IRIS's and OctoMap's.
+void print_map_quality();
 
 }  // namespace iris::bench

@@ -1,6 +1,7 @@
 // iris_bench [--quick] [--processor-time] [options of Google Benchmark]: IRIS beside its peers; prints a table in
 // Markdown. --processor-time: of one thread, instead of elapsed time; for a machine that others use as well.
 // iris_bench --quality: errors of the disparities instead of times.
+// iris_bench --maps: errors of maps, beside OctoMap's.
 // iris_bench --count=WORK: does WORK once, for a tool that counts instructions.
 #include <fmt/chrono.h>
 #include <fmt/format.h>
@@ -202,6 +203,10 @@ int main(int argc, char** argv) {
     }
     if (argument == "--quality") {
       iris::bench::print_quality();
+      return 0;
+    }
+    if (argument == "--maps") {
+      iris::bench::print_map_quality();
       return 0;
     }
     if (argument == "--quick") {

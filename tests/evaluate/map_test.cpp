@@ -75,6 +75,15 @@ TEST(Map, DrawnCellsByHand) {
   EXPECT_EQ(e.occupied_outside, 3);  // columns 6, 7 and 8 of 9 are moved by three
 }
 
+TEST(Map, FreeCellsThatNoCameraSawAreWrong) {
+  const GridMap truth = drawn({"...#???", "...#???", "...#???"}), map = drawn({"...#...", "...#...", "...#..."});
+  const MapErrors e = evaluate_map(map, truth, Pose::Identity(), {.tolerance = 1});
+  EXPECT_EQ(e.free, 18);
+  EXPECT_EQ(e.free_wrong, 0);
+  EXPECT_EQ(e.free_unseen, 9);
+  EXPECT_EQ(e.free_precision(), 50);
+}
+
 TEST(Map, TheTransformLaysTheMapOnThePlan) {
   std::vector<std::string> rows(40, std::string(60, '.'));
   rows[0] = rows[39] = std::string(60, '#');

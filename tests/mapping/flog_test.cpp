@@ -115,6 +115,69 @@ TEST(FlogBuilder, SurfacesMeasuredFinerThanACellStayInTheMap) {
   EXPECT_LT(occupied_on_wall(0), 24);
 }
 
+// A surface that lies flat in a layer, as beds and tables do: most rays that cross its cells pass over it.
+TEST(FlogBuilder, SlicesFindSurfacesThatLieFlatInALayer) {
+  BoxRoom room;  // its floor is at z = -1.2
+  FlogOptions options;
+  options.bottom = -1.33;
+  options.layers = 3;
+  options.height = 1.8;
+  const auto share_found = [&](int slices) {
+    options.slices = slices;
+    FlogBuilder builder(options, kCamera);
+    for (int i = 0; i < 8; ++i) {
+      builder.add(view_of(room, kCamera, level_camera({0, 0, 0}, i * std::numbers::pi / 4, -0.3), 0.1, 7u + i));
+    }
+    const MapRaster raster = rasterise(builder.map(), options);
+    int cells = 0, found = 0;
+    for (int y = 0; y < raster.height; ++y) {
+      for (int x = 0; x < raster.width; ++x) {
+        const double distance = std::hypot(raster.x_of(x), raster.y_of(y));
+        if (distance < 1.2 || distance > 1.4) continue;  // seen at 45 degrees at most, and not a wall
+        ++cells;
+        found += raster.state(y, x) == static_cast<uint8_t>(MapState::occupied);
+      }
+    }
+    return static_cast<double>(found) / cells;
+  };
+  EXPECT_GT(share_found(6), 0.9);
+  EXPECT_LT(share_found(1), 0.5);
+}
+
+// A wall from side to side, 3 m ahead of the only camera; the cells all around are free if one believes the rays.
+TEST(Rasterise, KnowsOnlyWhatAViewCanHaveSeen) {
+  constexpr int kSide = FlogMap::kTileCells;
+  FlogMap map;
+  map.cell_size = 0.1;
+  map.layer_bounds = {0, 1};
+  map.full_rays = 1;
+  map.camera = {.f = 100, .cx = 99.5, .cy = 99.5, .baseline = 0.1, .width = 200, .height = 200};
+  map.viewpoints = {level_camera({0.05, 3.25, 0.5}, 0)};
+  map.tiles_x = map.tiles_y = 1;
+  map.tiles.push_back(std::make_unique<FlogMap::Tile>());
+  map.tiles[0]->viewpoints = {0};
+  for (int i = 0; i < kSide * kSide; ++i) {
+    const bool wall = i % kSide == 30;
+    map.tiles[0]->cells.push_back(wall ? FlogCell{0, FlogCell::kOne, 5} : FlogCell{FlogCell::kOne, 0, 5});
+  }
+  FlogOptions options;
+  const auto state_at = [&](int x, int y) {
+    const MapRaster raster = rasterise(map, options);
+    return static_cast<MapState>(raster.state(raster.height - 1 - y, x));
+  };
+  EXPECT_EQ(state_at(10, 32), MapState::free);
+  EXPECT_EQ(state_at(30, 32), MapState::occupied);
+  EXPECT_EQ(state_at(30, 50), MapState::occupied);  // seen aslant
+  EXPECT_EQ(state_at(40, 32), MapState::unknown);   // behind the wall
+  EXPECT_EQ(state_at(5, 60), MapState::unknown);    // outside of the image
+  map.tiles[0]->cells[32 * kSide + 30] = {FlogCell::kOne, 0, 5};
+  map.tiles[0]->cells[33 * kSide + 30] = {FlogCell::kOne, 0, 5};
+  EXPECT_EQ(state_at(40, 32), MapState::free);  // through a hole of two cells
+  options.seen_only = false;
+  EXPECT_EQ(state_at(40, 20), MapState::free);
+  EXPECT_EQ(state_at(5, 60), MapState::free);
+}
+
 TEST(FlogBuilder, GivesTheSameBitsForAnyNumberOfThreads) {
   const BoxRoom room;
   const auto views = walk_around(room, 0.1);
@@ -230,6 +293,7 @@ TEST(Rasterise, FollowsTheFuzzyRules) {
   cell(60, 4, 1) = {fixed(0), fixed(1), 1};        // one ray: K = 0.01 is just enough
   FlogOptions options;
   options.min_confidence = 0.02;
+  options.occupied_level = 0.35;
   const MapRaster raster = rasterise(map, options);
   EXPECT_EQ(raster.width, 4);
   EXPECT_EQ(raster.height, 2);

@@ -31,7 +31,7 @@ struct FlogOptions {
   double min_move = 4;       // [cells] a view that moved less since the last added one …
   double min_turn = 0.5;     // [fields of view] … and did not turn by more is not added (6.3.3)
   double min_confidence = 0.05;  // K of (6.3) below which a cell is unknown in the trinary map
-  double occupied_level = 0.25;  // memberships of occupancy from here on make an obstacle in the trinary map
+  double occupied_level = 0.2;  // memberships of occupancy from here on make an obstacle in the trinary map
   bool seen_only = true;         // cells that no view can have seen past the obstacles of the map are unknown in it
 
   void declare(OptionSet& set);

@@ -1,0 +1,169 @@
+// How good and how fast maps are, beside OctoMap's own fusion of the same rays: a table of docs/benchmarks.md.
+#include <fmt/format.h>
+#include <octomap/OcTree.h>
+
+#include <chrono>
+#include <cmath>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "bench/bench.h"
+#include "iris/evaluate/map.h"
+#include "iris/mapping/flog.h"
+#include "iris/mapping/ray_fusion.h"
+#include "iris/rectify/rectifier.h"
+#include "iris/simulate/floor_plan.h"
+#include "iris/simulate/simulator.h"
+#include "iris/stereo/mwmf.h"
+
+namespace iris::bench {
+namespace {
+
+using mapping::FlogOptions;
+
+struct Recording {
+  std::vector<StereoView> views;  // with true poses
+  evaluate::GridMap plan;
+};
+
+Recording record(const FlogOptions& mapping, int frames) {
+  simulate::SimulateOptions options;
+  options.frames = frames;
+  const simulate::Scene scene = simulate::make_scene("apartment", options.seed);
+  const simulate::SimulatedPath path = simulate::make_path(scene, options);
+  options.rate = frames / path.seconds;  // all along the path
+  const simulate::Simulator simulator(scene, path, options);
+  const rectify::Rectifier rectifier(simulator.calibration());
+  Pose left_from_rect = Pose::Identity();
+  left_from_rect.linear() = rectifier.rect_from_left().transpose();
+  stereo::MwmfOptions stereo;
+  stereo.disparities = 128;
+  stereo.interpolation = "within";
+  Recording recording;
+  recording.views.resize(static_cast<size_t>(simulator.frames()));
+  parallel_chunks(0, simulator.frames(), 1, [&](int begin, int end) {
+    for (int i = begin; i < end; ++i) {
+      const StereoPair pair = rectifier.rectify(simulator.frame(i));
+      recording.views[static_cast<size_t>(i)] = {.frame_idx = i,
+                                                 .camera = rectifier.camera(),
+                                                 .image = pair.left,
+                                                 .disparity = stereo::mwmf(pair.left, pair.right, stereo),
+                                                 .world_from_cam = simulator.world_from_left(i) * left_from_rect};
+    }
+  });
+  std::vector<double> bounds;
+  for (int k = 0; k <= mapping.layers; ++k) bounds.push_back(mapping.bottom + mapping.height * k / mapping.layers);
+  const simulate::FloorPlan plan = simulate::floor_plan(scene, simulator, mapping.cell, bounds, mapping.max_range);
+  recording.plan = evaluate::grid_map(
+      plan.combined, {.image = "", .resolution = plan.cell, .origin_x = plan.origin_x, .origin_y = plan.origin_y},
+      true);
+  return recording;
+}
+
+mapping::SightRays rays_of(const StereoView& view, const FlogOptions& options) {
+  return mapping::sight_rays(view, {.min_disparity = options.min_disparity,
+                                    .pixel_error = options.pixel_error,
+                                    .min_error = options.min_spread * options.cell,
+                                    .max_range = options.max_range,
+                                    .step = options.ray_step});
+}
+
+// What lies above each other, as the layered map has it: occupied before free before unknown.
+evaluate::GridMap flattened(const octomap::OcTree& tree, const FlogOptions& options, const evaluate::GridMap& plan) {
+  constexpr int kMargin = 400;  // [cells] beyond the plan: false cells there count as well
+  evaluate::GridMap map{
+      .cells = cv::Mat1b::zeros(plan.cells.rows + 2 * kMargin, plan.cells.cols + 2 * kMargin),
+      .resolution = options.cell,
+      .origin_x = plan.origin_x - kMargin * options.cell,
+      .origin_y = plan.origin_y - kMargin * options.cell,
+  };
+  for (auto leaf = tree.begin_leafs(); leaf != tree.end_leafs(); ++leaf) {
+    const double half = leaf.getSize() / 2, side = options.cell;
+    if (leaf.getZ() + half <= options.bottom + 1e-6 || leaf.getZ() - half >= options.bottom + options.height - 1e-6)
+      continue;
+    const evaluate::Cell state = tree.isNodeOccupied(*leaf) ? evaluate::Cell::occupied : evaluate::Cell::free;
+    for (double y = leaf.getY() - half + side / 2; y < leaf.getY() + half; y += side) {
+      for (double x = leaf.getX() - half + side / 2; x < leaf.getX() + half; x += side) {
+        const cv::Point cell = map.cell_of(x, y);
+        if (!cv::Rect(0, 0, map.cells.cols, map.cells.rows).contains(cell)) continue;
+        map.cells(cell) = std::max(map.cells(cell), static_cast<uint8_t>(state));
+      }
+    }
+  }
+  return map;
+}
+
+void print_row(const std::string& name, const evaluate::GridMap& map, const Recording& recording, double seconds,
+               double rays, double megabytes) {
+  const evaluate::MapErrors e = evaluate::evaluate_map(map, recording.plan, Pose::Identity(), {});
+  fmt::print("| {} | {:.1f} | {:.1f} | {:.1f} | {:.1f} | {:.1f} | {:.2f} | {:.1f} |\n", name, e.occupied_precision(),
+             e.occupied_recall(), e.free_precision(), e.free_recall(),
+             1e3 * seconds / static_cast<double>(recording.views.size()), 1e-6 * rays / seconds, megabytes);
+}
+
+double seconds_of(const std::function<void()>& work) {
+  const auto begin = std::chrono::steady_clock::now();
+  with_threads(1, work);
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+}
+
+void print_flog(const std::string& name, const FlogOptions& options, const Recording& recording, double rays) {
+  mapping::FlogBuilder builder(options, recording.views.front().camera);
+  const double seconds = seconds_of([&] {
+    for (const StereoView& view : recording.views) builder.add(view);
+  });
+  double bytes = 0;
+  for (const auto& tile : builder.map().tiles) {
+    if (tile) bytes += static_cast<double>(tile->cells.size() * sizeof(FlogCell));
+  }
+  const mapping::MapRaster raster = mapping::rasterise(builder.map(), options);
+  const evaluate::GridMap map{
+      .cells = raster.state, .resolution = raster.cell, .origin_x = raster.origin_x, .origin_y = raster.origin_y};
+  print_row(name, map, recording, seconds, rays, 1e-6 * bytes);
+}
+
+}  // namespace
+
+void print_map_quality() {
+  constexpr int kFrames = 110;
+  const FlogOptions options;
+  const Recording recording = record(options, kFrames);
+  double rays = 0;
+  for (const StereoView& view : recording.views) rays += static_cast<double>(rays_of(view, options).rays.size());
+  fmt::print(
+      "\n## Maps\n\nApartment, rendered, {} views with true poses, cells of {:g} m between {:g} and {:g} m of height, "
+      "one thread; percent.\n\n"
+      "| | occupied: precision | recall | free: precision | recall | ms a view | Mrays/s | MB "
+      "|\n|-|-:|-:|-:|-:|-:|-:|-:|\n",
+      recording.views.size(), options.cell, options.bottom, options.bottom + options.height);
+  octomap::OcTree tree(options.cell);
+  const double seconds = seconds_of([&] {
+    for (const StereoView& view : recording.views) {
+      const mapping::SightRays of_view = rays_of(view, options);
+      octomap::Pointcloud points;
+      for (const mapping::SightRay& ray : of_view.rays) {
+        const Eigen::Vector3d p = of_view.origin + (ray.direction * std::min(ray.length, ray.end)).cast<double>();
+        points.push_back(static_cast<float>(p.x()), static_cast<float>(p.y()), static_cast<float>(p.z()));
+      }
+      const Eigen::Vector3f o = of_view.origin.cast<float>();
+      tree.insertPointCloud(points, {o.x(), o.y(), o.z()}, options.max_range, true);
+    }
+  });
+  tree.updateInnerOccupancy();
+  print_row("OctoMap, insertPointCloud", flattened(tree, options, recording.plan), recording, seconds, rays,
+            1e-6 * static_cast<double>(tree.memoryUsage()));
+  FlogOptions thesis = options;  // cells as high as layers, all that any ray says
+  thesis.slices = 1;
+  thesis.bundle = 0;
+  thesis.min_confidence = 0.01;
+  thesis.occupied_level = 0.35;
+  thesis.seen_only = false;
+  print_flog("FLOG, thesis", thesis, recording, rays);
+  print_flog("FLOG, default", options, recording, rays);
+  FlogOptions cubes = options;
+  cubes.slices = static_cast<int>(std::lround(options.height / options.layers / options.cell));
+  print_flog("FLOG, cubes", cubes, recording, rays);
+}
+
+}  // namespace iris::bench

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -139,6 +140,7 @@ std::optional<ClosingError> closing_error(const PoseGraph& odometry, const PoseG
     result = ClosingError{.i = edge.i,
                           .j = edge.j,
                           .error = (i_from_j.translation() - edge.i_from_j.translation()).norm(),
+                          .sigma = std::sqrt(edge.information.inverse().topLeftCorner<3, 3>().trace()),
                           .way = between};
   }
   if (result) result->loops = loops;

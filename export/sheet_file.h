@@ -39,6 +39,7 @@ struct SheetFacts {
 struct ClosingError {
   int i = 0, j = 0;  // frames of the loop
   double error = 0;  // [m]
+  double sigma = 0;  // [m] standard deviation of the place of j as the loop sees it, as its covariance states it
   double way = 0;    // [m] along the path between the frames
   int loops = 0;     // all of the sub-map
 };

@@ -193,7 +193,9 @@ TEST(SheetFile, ClosingErrorIsThatOfTheLongestLoop) {
   // Around once: the true motion is a turn by 3/4 of a circle (the last one lies behind frame 80), no shift.
   Pose truth = Pose::Identity();
   truth.rotate(Eigen::AngleAxisd(3 * M_PI / 2, Eigen::Vector3d::UnitZ()));
-  refined.edges.push_back({.i = 0, .j = 80, .i_from_j = truth, .kind = PoseEdgeKind::loop});
+  Matrix6d information = Matrix6d::Identity();
+  information.diagonal().head<3>() << 1e4, 2.5e3, 1e4;  // 1, 2 and 1 cm
+  refined.edges.push_back({.i = 0, .j = 80, .i_from_j = truth, .information = information, .kind = PoseEdgeKind::loop});
   refined.edges.push_back({.i = 20, .j = 40, .kind = PoseEdgeKind::loop});
   refined.edges.push_back({.i = 2, .j = 4, .kind = PoseEdgeKind::odometry});
   const auto error = closing_error(odometry, refined, 0);
@@ -202,6 +204,7 @@ TEST(SheetFile, ClosingErrorIsThatOfTheLongestLoop) {
   EXPECT_EQ(error->j, 80);
   EXPECT_EQ(error->loops, 2);
   EXPECT_NEAR(error->error, 0.03, 1e-9);
+  EXPECT_NEAR(error->sigma, 0.01 * std::sqrt(6), 1e-9);
   EXPECT_NEAR(error->way, 40.03, 1e-9);
   // Chains that only a loop joined have no closing error.
   for (size_t k = 5; k < odometry.nodes.size(); ++k) odometry.nodes[k].submap = 1;

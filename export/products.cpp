@@ -59,7 +59,7 @@ Files write_trajectory(const Workspace& workspace) {
 
 // The title block of the sheet.
 SheetFacts facts_of(const Workspace& workspace, const mapping::MapRaster& raster, const RectifiedCamera& camera,
-                    const PoseGraph& graph, int submap, double loop_sigma) {
+                    const PoseGraph& graph, int submap) {
   SheetFacts facts{.title = fs::path(workspace.session_folder()).filename().string(), .date = {}, .lines = {}};
   double length = 0;
   int64_t begin_ns = 0;
@@ -85,8 +85,8 @@ SheetFacts facts_of(const Workspace& workspace, const mapping::MapRaster& raster
   std::string closing = "no loop was closed";
   if (const auto error = closing_error(workspace.pose_graph(Poses::odometry), graph, submap)) {
     closing = fmt::format("{:.3f} \u00b1 {:.3f} m, {:.2f} % of {:.1f} m as chained, {} loop{}", error->error,
-                          loop_sigma * error->sigma, 100 * error->error / std::max(error->way, 1e-9), error->way,
-                          error->loops, error->loops == 1 ? "" : "s");
+                          error->sigma, 100 * error->error / std::max(error->way, 1e-9), error->way, error->loops,
+                          error->loops == 1 ? "" : "s");
   }
   facts.lines = {
       {"Session", facts.title},
@@ -126,8 +126,7 @@ Files write_maps(const Workspace& workspace, const RunOptions& options, const Ru
     layers.push_back(layer_raster(builder.map(), mapping, k, raster));
   }
   write_map(folder, raster, layers, graph, first.submap, options.map);
-  write_sheet(folder, raster, graph, first.submap,
-              facts_of(workspace, raster, first.camera, graph, first.submap, options.library.pose_graph.loop_sigma),
+  write_sheet(folder, raster, graph, first.submap, facts_of(workspace, raster, first.camera, graph, first.submap),
               options.sheet);
   return files_in(workspace.folder(), "map");
 }

@@ -186,10 +186,16 @@ MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
       }
     }
   };
-  int x0 = std::numeric_limits<int>::max(), y0 = x0, x1 = std::numeric_limits<int>::min(), y1 = x1;
-  for_each_cell([&](const FlogCell&, uint8_t, int x, int y, size_t) {
-    x0 = std::min(x0, x), x1 = std::max(x1, x), y0 = std::min(y0, y), y1 = std::max(y1, y);
-  });
+  // What is known, or else whatever a ray crossed.
+  int x0 = 0, y0 = 0, x1 = -1, y1 = -1;
+  for (const bool known_only : {true, false}) {
+    if (x1 >= x0) break;
+    x0 = y0 = std::numeric_limits<int>::max(), x1 = y1 = std::numeric_limits<int>::min();
+    for_each_cell([&](const FlogCell&, uint8_t state, int x, int y, size_t) {
+      if (known_only && state == static_cast<uint8_t>(MapState::unknown)) return;
+      x0 = std::min(x0, x), x1 = std::max(x1, x), y0 = std::min(y0, y), y1 = std::max(y1, y);
+    });
+  }
   if (x1 < x0) x0 = y0 = x1 = y1 = 0;
   raster.width = x1 - x0 + 1, raster.height = y1 - y0 + 1;
   raster.origin_x = x0 * map.cell_size, raster.origin_y = y0 * map.cell_size;
@@ -203,6 +209,7 @@ MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
   const auto raise = [](float& highest, float value) { highest = std::max(highest, value); };
   for_each_cell([&](const FlogCell& cell, uint8_t state, int x, int y, size_t layer) {
     const int column = x - x0, row = y1 - y;
+    if (column < 0 || row < 0 || column >= raster.width || row >= raster.height) return;
     const CellValue value = value_of(cell, map.full_rays);
     const float Mk = std::min(value.unsafe, value.K);  // (6.4)
     raise(raster.layer_M[layer](row, column), Mk);

@@ -163,7 +163,10 @@ TEST(Rasterise, KnowsOnlyWhatAViewCanHaveSeen) {
   FlogOptions options;
   const auto state_at = [&](int x, int y) {
     const MapRaster raster = rasterise(map, options);
-    return static_cast<MapState>(raster.state(raster.height - 1 - y, x));
+    const int column = x - static_cast<int>(std::lround(raster.origin_x / raster.cell));
+    const int row = raster.height - 1 - y + static_cast<int>(std::lround(raster.origin_y / raster.cell));
+    const bool inside = cv::Rect(0, 0, raster.width, raster.height).contains({column, row});
+    return inside ? static_cast<MapState>(raster.state(row, column)) : MapState::unknown;
   };
   EXPECT_EQ(state_at(10, 32), MapState::free);
   EXPECT_EQ(state_at(30, 32), MapState::occupied);
@@ -291,6 +294,7 @@ TEST(Rasterise, FollowsTheFuzzyRules) {
   cell(63, 4, 0) = {fixed(1), fixed(0), 0};        // untouched
   cell(63, 4, 1) = {fixed(0.6), fixed(0.4), 200};  // partly filled, in the upper layer
   cell(60, 4, 1) = {fixed(0), fixed(1), 1};        // one ray: K = 0.01 is just enough
+  cell(60, 3, 0) = {fixed(1), fixed(0), 100};      // free
   FlogOptions options;
   options.min_confidence = 0.02;
   options.occupied_level = 0.35;
@@ -309,7 +313,7 @@ TEST(Rasterise, FollowsTheFuzzyRules) {
   EXPECT_NEAR(raster.layer_M[1](0, 3), 0.4, 2e-5);
   EXPECT_NEAR(raster.M(0, 3), 0.4, 2e-5);
   EXPECT_NEAR(raster.M(0, 0), 0.01, 2e-5);
-  const cv::Mat1b expected = (cv::Mat1b(2, 4) << 0, 0, 0, 2, 0, 0, 1, 2);
+  const cv::Mat1b expected = (cv::Mat1b(2, 4) << 0, 0, 0, 2, 1, 0, 1, 2);
   EXPECT_EQ(cv::norm(raster.state, expected, cv::NORM_INF), 0);
   EXPECT_EQ(cv::norm(raster.known, expected > 0, cv::NORM_INF), 254);        // 0/1 against 0/255
   EXPECT_EQ(rasterise(FlogBuilder(options, kCamera).map()).state(0, 0), 0);  // nothing seen: one unknown cell

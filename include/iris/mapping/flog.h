@@ -31,7 +31,7 @@ struct FlogOptions {
   double min_move = 4;       // [cells] a view that moved less since the last added one …
   double min_turn = 0.5;     // [fields of view] … and did not turn by more is not added (6.3.3)
   double min_confidence = 0.05;  // K of (6.3) below which a cell is unknown in the trinary map
-  double occupied_level = 0.2;  // memberships of occupancy from here on make an obstacle in the trinary map
+  double occupied_level = 0.2;   // memberships of occupancy from here on make an obstacle in the trinary map
   bool seen_only = true;         // cells that no view can have seen past the obstacles of the map are unknown in it
 
   void declare(OptionSet& set);
@@ -80,7 +80,8 @@ struct MapRaster {
   double y_of(int row) const { return origin_y + (height - row - 0.5) * cell; }
 };
 
-// (6.3) - (6.5) over the rectangle of all touched cells; one unknown cell at the origin if there is none.
+// (6.3) - (6.5) over the rectangle of all known cells; of all touched ones if none is known, one unknown
+// cell at the origin if there is none.
 // A layer's cell is known with K >= min_confidence and one membership >= occupied_level (occupied) or > 1/2 (free);
 // I of (6.4) is what remains. Above each other: occupied before free before unknown.
 MapRaster rasterise(const FlogMap& map, const FlogOptions& options = {});

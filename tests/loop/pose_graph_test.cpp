@@ -400,5 +400,18 @@ TEST(Refine, StopsWhenAsked) {
   EXPECT_EQ(asked, 3);
 }
 
+TEST(LoopOptions, AreDeclared) {
+  LoopOptions options;
+  OptionSet set;
+  options.declare(set);
+  set.set("loop.sigma", "1.25");
+  set.set("loop.min_joining_loops", "5");
+  set.set("loop.estimate_sigma", "false");
+  EXPECT_EQ(options.sigma, 1.25);
+  EXPECT_EQ(options.min_joining_loops, 5);
+  EXPECT_FALSE(options.estimate_sigma);
+  set.validate();
+}
+
 }  // namespace
 }  // namespace iris::loop

@@ -22,11 +22,11 @@ struct BundleOptions {
   double min_offset = 0.1;   // [px] a smaller disparity offset is not corrected: matching alone has such errors
   double min_focal = 0.002;  // [parts] a smaller error of the focal length is not corrected. What is not corrected
                              // stays uncertain by as much (one standard deviation), which all poses share
-  double max_offset = 1.0;  // [px] a larger one is reported only: then more than the offset is wrong
-  double max_focal = 0.02;  // [parts] the same for the focal length
-  double sigma = 3.0;       // standard deviations are taken this many times as large as residuals say, or as many times
-                            // as loops have shown odometry to be worse (RefinedGraph): errors of neighbouring views and
-                            // points go together
+  double max_offset = 1.0;   // [px] a larger one is reported only: then more than the offset is wrong
+  double max_focal = 0.02;   // [parts] the same for the focal length
+  double sigma = 2.5;  // standard deviations are taken this many times as large as residuals say, or as many times
+                       // as loops have shown odometry to be worse (RefinedGraph): errors of neighbouring views and
+                       // points go together
   int max_iterations = 30;
 
   void declare(OptionSet& set);  // section "loop"
@@ -67,7 +67,7 @@ struct BundleResult {
 // refined: poses, odometry between them and loops; loops that are rejected or end elsewhere than at stored views are
 // left out. view_frames: frame_idx of the stored views, ascending, each a node. view: gives them; called from several
 // threads at once, for a view that takes part in loops again for each of them. Memory does not depend on their number
-// but for the points (about 100 kB a view). Odometry between successive views counts as well, with the errors that
+// but for the points (about 150 kB a view). Odometry between successive views counts as well, with the errors that
 // `refined` tells of: it knows the frames in between. The result is the same for any number of threads. `stopped` is
 // asked now and then; true: Interrupted is thrown; may be empty.
 BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_frames,

@@ -38,9 +38,9 @@ void LoopOptions::declare(OptionSet& set) {
   set.add("max_chi_square", max_chi_square, "", 1, 1e9,
           "largest disagreement between loops and odometry: chi-square of six degrees of freedom, 22.5 keeps 99.9 % of "
           "the true loops; beyond it a loop loses its weight quickly");
-  set.add(
-      "min_joining_loops", min_joining_loops, "loops", 1, 1000,
-      "so many loops must agree on how two sub-maps lie to each other before they are joined; 1 trusts a single one");
+  set.add("min_joining_loops", min_joining_loops, "loops", 1, 1000,
+          "so many loops must agree on how two sub-maps lie to each other before they are joined; a loop of twice "
+          "loop.min_used correspondences counts as two, and so on; 1 trusts a single one");
   set.add("max_iterations", max_iterations, "", 1, 1000, "most iterations of the minimisation over all motions");
   set.add("cache_mb", cache_mb, "MB", 16, 1000000,
           "memory for views while loops are verified; larger reads less often");

@@ -12,9 +12,9 @@
 #include <optional>
 #include <queue>
 
-#include "iris/loop/block_cholesky.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "iris/loop/block_cholesky.h"
 #include "iris/loop/twist.h"
 #include "iris/motion/minimise.h"
 #include "pose_problem.h"
@@ -49,6 +49,7 @@ struct Link {
   Pose i_from_j = Pose::Identity();
   Matrix6d information, covariance;
   bool loop = false, guessed = false;
+  double votes = 1;  // about how sub-maps lie
 };
 
 // A guessed edge keeps at least what any motion between two frames obeys: 100 m and a turn are possible.
@@ -63,7 +64,7 @@ struct Sigmas {
   double odometry = 1, loop = 1;
 };
 
-std::vector<Link> links_of(const PoseGraph& graph, const Sigmas& sigmas) {
+std::vector<Link> links_of(const PoseGraph& graph, const Sigmas& sigmas, const LoopOptions& options) {
   const auto place_of = [&](int frame_idx) {
     const auto found = std::lower_bound(graph.nodes.begin(), graph.nodes.end(), frame_idx,
                                         [](const PoseNode& node, int idx) { return node.frame_idx < idx; });
@@ -79,7 +80,8 @@ std::vector<Link> links_of(const PoseGraph& graph, const Sigmas& sigmas) {
               .j = place_of(edge.j),
               .i_from_j = edge.i_from_j,
               .loop = loop,
-              .guessed = edge.kind == PoseEdgeKind::guessed};
+              .guessed = edge.kind == PoseEdgeKind::guessed,
+              .votes = options.votes(edge.used)};
     link.information = edge.information / (sigma * sigma) + 1e-12 * least_information();
     if (edge.kind == PoseEdgeKind::guessed) link.information += least_information();
     link.covariance = link.information.inverse();
@@ -216,7 +218,8 @@ class UnionFind {
 
 // The loops that join trees: of each pair of trees the one that most others agree with; the pairs with most agreement
 // first, as long as they join something.
-std::vector<int> joining_links(const Forest& forest, const std::vector<Link>& links, double max_square, int min_votes) {
+std::vector<int> joining_links(const Forest& forest, const std::vector<Link>& links, double max_square,
+                               double min_votes) {
   constexpr int kMaxHypotheses = 64;  // a pair with more loops: some of them, evenly chosen, are the hypotheses
   std::map<std::pair<int, int>, std::vector<int>> between;
   for (size_t k = 0; k < links.size(); ++k) {
@@ -224,7 +227,8 @@ std::vector<int> joining_links(const Forest& forest, const std::vector<Link>& li
     if (links[k].loop && a != b) between[std::minmax(a, b)].push_back(static_cast<int>(k));
   }
   struct Vote {
-    int votes = 0, link = 0;
+    double votes = 0;
+    int link = 0;
   };
   std::vector<Vote> votes;
   for (const auto& [trees, candidates] : between) {
@@ -234,7 +238,9 @@ std::vector<int> joining_links(const Forest& forest, const std::vector<Link>& li
       const int candidate = candidates[static_cast<int64_t>(h) * count / hypotheses];
       Vote vote{.link = candidate};
       for (const int other : candidates) {
-        if (other == candidate || forest.disagreement(links[candidate], links[other]) < max_square) ++vote.votes;
+        if (other == candidate || forest.disagreement(links[candidate], links[other]) < max_square) {
+          vote.votes += links[other].votes;
+        }
       }
       if (vote.votes > best.votes) best = vote;
     }
@@ -556,7 +562,7 @@ Solution settle(const std::vector<Link>& links, const std::vector<char>& inside,
 RefinedGraph refine(const PoseGraph& graph, const LoopOptions& options, const std::function<bool()>& stopped) {
   const int count = static_cast<int>(graph.nodes.size());
   Sigmas sigmas{.odometry = options.sigma, .loop = options.sigma};
-  std::vector<Link> links = links_of(graph, sigmas);
+  std::vector<Link> links = links_of(graph, sigmas, options);
   const double phi = options.max_chi_square;
   const double max_gate = 4 * phi;  // covariances are first order and errors have tails: twice the distance
 
@@ -618,7 +624,7 @@ RefinedGraph refine(const PoseGraph& graph, const LoopOptions& options, const st
     const Sigmas next = linearised->sigmas(sigmas, options.sigma, phi);
     if (std::abs(next.odometry / sigmas.odometry - 1) < kSame && std::abs(next.loop / sigmas.loop - 1) < kSame) break;
     sigmas = next;
-    links = links_of(graph, sigmas);
+    links = links_of(graph, sigmas, options);
     solution =
         settle(links, inside, unknowns, std::move(solution.fits), std::move(solution.poses), phi, options, stopped);
     iterations += solution.iterations;

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <map>
+#include <numeric>
 
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
@@ -249,9 +250,13 @@ void judge_consistency(std::vector<LoopEdge>& edges, const Odometry& odometry, c
       std::vector<LoopEdge> others;
       for (size_t k = 0; k < members.size(); ++k)
         if (!is_chosen[k]) others.push_back(directed[k]);
-      const double second = static_cast<double>(consistent_edges(others, odometry, options).size());
-      supported = static_cast<int>(chosen.size()) >= options.min_joining_loops &&
-                  second < kAmbiguous * static_cast<double>(chosen.size());
+      const auto votes_of = [&](const std::vector<LoopEdge>& of, const std::vector<int>& set) {
+        return std::accumulate(set.begin(), set.end(), 0.0,
+                               [&](double sum, int k) { return sum + options.votes(of[k].used); });
+      };
+      const double first = votes_of(directed, chosen);
+      supported = first >= options.min_joining_loops &&
+                  votes_of(others, consistent_edges(others, odometry, options)) < kAmbiguous * first;
     }
     for (size_t k = 0; k < members.size(); ++k) {
       if (!is_chosen[k]) {

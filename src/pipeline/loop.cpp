@@ -23,7 +23,8 @@ PoseEdge edge_of(const loop::LoopEdge& loop) {
           .j = loop.j,
           .i_from_j = loop.i_from_j,
           .information = loop.covariance.inverse(),
-          .kind = PoseEdgeKind::loop};
+          .kind = PoseEdgeKind::loop,
+          .used = loop.used};
 }
 
 // The stored views by their frames.

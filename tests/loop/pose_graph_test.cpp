@@ -297,6 +297,11 @@ TEST(Refine, DoesNotJoinByASingleOrContradictingLoops) {
   EXPECT_EQ(joined.graph.nodes.front().submap, 1);
   EXPECT_EQ(joined.graph.nodes[150].submap, 0);
   EXPECT_EQ(joined.graph.nodes.back().submap, 0);
+  // So does one of many correspondences.
+  for (const int used : {74, 75}) {
+    example.graph.edges.back().used = used;
+    EXPECT_EQ(refine(example.graph, exact_noise()).edge_weight.back() > 0, used == 75);
+  }
   // Each component's first node stays where it is.
   EXPECT_EQ(joined.graph.nodes[100].world_from_cam.matrix(), example.graph.nodes[100].world_from_cam.matrix());
 }

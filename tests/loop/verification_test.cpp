@@ -155,8 +155,12 @@ TEST(Consistency, DoesNotJoinSubmapsOnAWeakOrDividedVote) {
   const Walk walk(2, random, {60});
   const Odometry odometry(walk.graph, plain());
   std::vector<LoopEdge> two{walk.loop(3, 63, random), walk.loop(9, 69, random)};
+  std::vector<LoopEdge> strong = two;  // of 100 correspondences each
+  for (LoopEdge& edge : two) edge.used = 30;
   judge_consistency(two, odometry, plain());
   EXPECT_EQ(count_of(two, LoopVerdict::unsupported), 2);
+  judge_consistency(strong, odometry, plain());
+  EXPECT_EQ(count_of(strong, LoopVerdict::accepted), 2);
 
   // Ten say that the second lap lies on the first, six that it is turned by six steps.
   std::vector<LoopEdge> divided;

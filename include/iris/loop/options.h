@@ -1,5 +1,7 @@
 #pragma once
 
+#include <algorithm>
+
 #include "iris/core/options.h"
 
 namespace iris::loop {
@@ -34,11 +36,15 @@ struct LoopOptions {
   double min_agreement = 0.8;  // least part of what both views measure that fits together
   // Consistency between loops.
   double max_chi_square = 22.5;  // of six degrees of freedom: 99.9 % of true ones. From there on a loop loses weight
-  int min_joining_loops = 3;     // least number of loops that agree about how two sub-maps lie
+  // Least number of loops that agree about how two sub-maps lie; one of n min_used correspondences counts as n.
+  int min_joining_loops = 3;
   // Minimisation over all motions.
   int max_iterations = 50;  // in each of at most three rounds
   // Resources.
   int cache_mb = 256;  // [MB] of views that are kept while candidates are verified
+
+  // What a loop of so many correspondences (0 = not known) counts when sub-maps are joined.
+  double votes(int used) const { return std::max(1.0, static_cast<double>(used) / min_used); }
 
   void declare(OptionSet& set);
 };

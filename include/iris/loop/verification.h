@@ -61,8 +61,8 @@ double spread_of(const std::vector<Eigen::Vector2d>& points, const RectifiedCame
 // Judges accepted edges together: those that contradict odometry become inconsistent, then those outside of the largest
 // set of mutually consistent ones (pairwise consistency maximisation, Mangelson et al. 2018), for each pair of sub-maps
 // on its own. Two loops i-j and k-l agree if the way i -> j -> l -> k -> i comes back to where it began, within its
-// covariance. Two sub-maps are joined by options.min_joining_loops agreeing loops at least, and not if a second such
-// set is nearly as large.
+// covariance. Two sub-maps are joined by options.min_joining_loops votes of agreeing loops at least, and not if a
+// second such set is nearly as large.
 void judge_consistency(std::vector<LoopEdge>& edges, const Odometry& odometry, const LoopOptions& options);
 
 // The chi-square of the way around two loops, six degrees of freedom. Both run between the same two sub-maps, in the

@@ -25,6 +25,7 @@ struct PoseEdge {
   Pose i_from_j = Pose::Identity();
   Matrix6d information = Matrix6d::Identity();  // inverse of MotionEstimate::covariance, same order and perturbation
   PoseEdgeKind kind = PoseEdgeKind::odometry;
+  int used = 0;  // correspondences behind it, as in MotionEstimate; 0 = not known
 };
 
 // Nodes in the order of their frames; frames without a pose have no node.

@@ -8,7 +8,6 @@
 #include <cstddef>
 #include <memory>
 #include <string>
-#include <type_traits>
 #include <vector>
 
 #include "export/map_drawing.h"
@@ -141,44 +140,18 @@ void MapFileOptions::declare(OptionSet& set) {
   set.add("layers", layers, "a map for each layer of heights too: map_layer0.yaml is the lowest, see mapping.layers");
 }
 
-MapRaster layer_raster(const FlogMap& map, const mapping::FlogOptions& options, int layer, const MapRaster& whole) {
-  IRIS_CHECK(layer >= 0 && layer < map.layers());
+MapRaster layer_raster(const MapRaster& map, int layer) {
+  IRIS_CHECK(layer >= 0 && layer < static_cast<int>(map.layer_state.size()));
   const auto k = static_cast<size_t>(layer);
-  constexpr size_t kCells = FlogMap::kTileCells * FlogMap::kTileCells;
-  FlogMap single{.cell_size = map.cell_size,
-                 .layer_bounds = {map.layer_bounds[k], map.layer_bounds[k + 1]},
-                 .full_rays = map.full_rays,
-                 .tile_x0 = map.tile_x0,
-                 .tile_y0 = map.tile_y0,
-                 .tiles_x = map.tiles_x,
-                 .tiles_y = map.tiles_y,
-                 .tiles = {}};
-  for (const auto& tile : map.tiles) {
-    single.tiles.push_back(nullptr);
-    if (!tile) continue;
-    const auto begin = tile->cells.begin() + static_cast<std::ptrdiff_t>(k * kCells);
-    single.tiles.back() = std::make_unique<FlogMap::Tile>(FlogMap::Tile{.cells = {begin, begin + kCells}});
-  }
-  MapRaster raster = mapping::rasterise(single, options);
-  // Into the rectangle of the whole map, which contains that of each layer; a layer that no ray crossed has one cell
-  // somewhere.
-  const cv::Rect place(
-      static_cast<int>(std::lround((raster.origin_x - whole.origin_x) / whole.cell)),
-      static_cast<int>(std::lround((whole.origin_y - raster.origin_y) / whole.cell)) + whole.height - raster.height,
-      raster.width, raster.height);
-  const cv::Rect inside = place & cv::Rect(0, 0, whole.width, whole.height);
-  const auto into_whole = [&](auto& picture) {
-    std::remove_reference_t<decltype(picture)> result(whole.height, whole.width);
-    result.setTo(0);
-    if (!inside.empty()) picture(inside - place.tl()).copyTo(result(inside));
-    picture = result;
-  };
-  for (cv::Mat1f* picture : {&raster.M, &raster.U, &raster.layer_M.front(), &raster.layer_U.front()}) {
-    into_whole(*picture);
-  }
-  for (cv::Mat1b* picture : {&raster.known, &raster.state}) into_whole(*picture);
-  raster.origin_x = whole.origin_x, raster.origin_y = whole.origin_y;
-  raster.width = whole.width, raster.height = whole.height;
+  MapRaster raster = map;
+  raster.layer_bounds = {map.layer_bounds[k], map.layer_bounds[k + 1]};
+  raster.layer_M = {map.layer_M[k]};
+  raster.layer_U = {map.layer_U[k]};
+  raster.layer_state = {map.layer_state[k]};
+  raster.M = map.layer_M[k];
+  raster.U = map.layer_U[k];
+  raster.state = map.layer_state[k];
+  raster.known = raster.state != static_cast<uint8_t>(mapping::MapState::unknown);
   return raster;
 }
 

@@ -18,9 +18,8 @@ struct MapFileOptions {
   void declare(OptionSet& set);  // section "map"
 };
 
-// One layer of the map as a map of its own, over the same rectangle of cells as `whole`, which is the raster of `map`.
-mapping::MapRaster layer_raster(const FlogMap& map, const mapping::FlogOptions& options, int layer,
-                                const mapping::MapRaster& whole);
+// One layer of the map as a map of its own, over the same rectangle of cells.
+mapping::MapRaster layer_raster(const mapping::MapRaster& map, int layer);
 
 // Writes into `folder`, each file whole or not at all (throws InputError):
 //   map.pgm             254 free, 0 occupied, 205 unknown; row 0 is the largest y

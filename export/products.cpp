@@ -123,7 +123,7 @@ Files write_maps(const Workspace& workspace, const RunOptions& options, const Ru
   const PoseGraph graph = workspace.pose_graph(Poses::refined);
   std::vector<mapping::MapRaster> layers;
   for (int k = 0; options.map.layers && k < builder.map().layers(); ++k) {
-    layers.push_back(layer_raster(builder.map(), mapping, k, raster));
+    layers.push_back(layer_raster(raster, k));
   }
   write_map(folder, raster, layers, graph, first.submap, options.map);
   write_sheet(folder, raster, graph, first.submap, facts_of(workspace, raster, first.camera, graph, first.submap),

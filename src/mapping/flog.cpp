@@ -205,6 +205,7 @@ MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
   for (int k = 0; k < map.layers(); ++k) {
     raster.layer_M.push_back(cv::Mat1f::zeros(raster.height, raster.width));
     raster.layer_U.push_back(cv::Mat1f::zeros(raster.height, raster.width));
+    raster.layer_state.push_back(cv::Mat1b::zeros(raster.height, raster.width));
   }
   const auto raise = [](float& highest, float value) { highest = std::max(highest, value); };
   for_each_cell([&](const FlogCell& cell, uint8_t state, int x, int y, size_t layer) {
@@ -217,6 +218,7 @@ MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
     if (state == static_cast<uint8_t>(MapState::unknown)) return;
     raise(raster.layer_U[layer](row, column), value.unsafe);
     raise(raster.U(row, column), value.unsafe);
+    raster.layer_state[layer](row, column) = std::max(raster.layer_state[layer](row, column), state);
     raster.state(row, column) = std::max(raster.state(row, column), state);
   });
   raster.known = cv::Mat1b(raster.height, raster.width);

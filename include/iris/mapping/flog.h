@@ -65,16 +65,17 @@ enum class MapState : uint8_t { unknown = 0, free = 1, occupied = 2 };
 
 // The map as images. Column ix, row 0 = largest y; all images have the same size.
 struct MapRaster {
-  double cell = 0;                    // [m]
-  double origin_x = 0, origin_y = 0;  // [m] world, lower-left corner of the lower-left cell
-  int width = 0, height = 0;          // [cells]
-  std::vector<double> layer_bounds;   // [m] layers + 1
-  std::vector<cv::Mat1f> layer_M;     // Mk of (6.4), 0 = free or unknown, 1 = occupied
-  std::vector<cv::Mat1f> layer_U;     // Mk without K: how unsafe a known cell is; 0 where the layer is unknown
-  cv::Mat1f M;                        // (6.5)
-  cv::Mat1f U;                        // max over the layers
-  cv::Mat1b known;                    // 0 = unknown, 1 = enough evidence: state is not unknown
-  cv::Mat1b state;                    // MapState
+  double cell = 0;                     // [m]
+  double origin_x = 0, origin_y = 0;   // [m] world, lower-left corner of the lower-left cell
+  int width = 0, height = 0;           // [cells]
+  std::vector<double> layer_bounds;    // [m] layers + 1
+  std::vector<cv::Mat1f> layer_M;      // Mk of (6.4), 0 = free or unknown, 1 = occupied
+  std::vector<cv::Mat1f> layer_U;      // Mk without K: how unsafe a known cell is; 0 where the layer is unknown
+  std::vector<cv::Mat1b> layer_state;  // MapState of each layer alone
+  cv::Mat1f M;                         // (6.5)
+  cv::Mat1f U;                         // max over the layers
+  cv::Mat1b known;                     // 0 = unknown, 1 = enough evidence: state is not unknown
+  cv::Mat1b state;                     // MapState
   // Centre of a cell, row counted from the top.
   double x_of(int column) const { return origin_x + (column + 0.5) * cell; }
   double y_of(int row) const { return origin_y + (height - row - 0.5) * cell; }

@@ -284,9 +284,10 @@ void ScsOptions::declare(OptionSet& set) {
           "least correlation coefficient of the surroundings of a corner that was found by prediction");
   set.add("min_support", min_support, "", 0, 1,
           "of the corners whose surface is where a motion predicts it, the part that must be found there again");
-  set.add("max_contradiction", max_contradiction, "", 0, 1,
-          "most points that the other view looks through, as a part of all that it shows, times the part of those corners "
-          "that are found again and fit the motion");
+  set.add(
+      "max_contradiction", max_contradiction, "", 0, 1,
+      "most points that the other view looks through, as a part of all that it shows, times the part of those corners "
+      "that are found again and fit the motion");
   set.add("max_turn", max_turn, "deg", 1, 180, "largest rotation between two views, theta (5.3)");
   set.add("ambiguity", ambiguity, "", 0.1, 2,
           "a second consistent set that is at least this part as large as the first and moves otherwise makes a motion "

@@ -7,6 +7,7 @@
 #include "iris/mapping/flog.h"
 #include "iris/mapping/ray_fusion.h"
 #include "iris/views/view_store.h"
+#include "support/box_room.h"
 #include "support/temporary_folder.h"
 
 namespace iris::bench {
@@ -16,12 +17,13 @@ using benchmark::State;
 using mapping::FlogOptions;
 using mapping::SightRays;
 
-// One view looking into four directions, so that none is too similar to the one before.
+// One view from the middle of the map's heights, looking level into four directions, so that none is too similar to the
+// one before.
 std::vector<StereoView> turned_views() {
   std::vector<StereoView> views;
   for (int i = 0; i < 4; ++i) {
     StereoView view = *hand_held_views()[0];
-    view.world_from_cam.prerotate(Eigen::AngleAxisd(i * M_PI / 2, Eigen::Vector3d::UnitZ()));
+    view.world_from_cam = testing::level_camera({0, 0, 1}, i * M_PI / 2);
     views.push_back(std::move(view));
   }
   return views;
@@ -64,7 +66,7 @@ void octomap_tree(State& state, bool discretise) {
   octomap::OcTree tree(options.cell);
   std::vector<octomap::Pointcloud> clouds;
   for (const StereoView& view : turned_views()) clouds.push_back(points_of(rays_of(view, options)));
-  const octomap::point3d origin = point_of(hand_held_views()[0]->world_from_cam.translation());
+  const octomap::point3d origin = point_of(turned_views()[0].world_from_cam.translation());
   const auto add = [&](size_t i) { tree.insertPointCloud(clouds[i % 4], origin, options.max_range, true, discretise); };
   for (size_t i = 0; i < 4; ++i) add(i);
   size_t next = 0;

@@ -9,6 +9,7 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "export/map_drawing.h"
+#include "export/report_file.h"
 #include "export/trajectory_file.h"
 #include "export/video_file.h"
 #include "iris/core/atomic_file.h"
@@ -192,7 +193,7 @@ int write_tour(const Workspace& workspace, const RunOptions& options, const std:
   return frames;
 }
 
-std::vector<Stage> product_stages(const RunOptions& options) {
+std::vector<Stage> product_stages(const RunOptions& options, const OptionSet& set) {
   return {
       Stage{.name = "trajectory",
             .sections = {},
@@ -235,6 +236,15 @@ std::vector<Stage> product_stages(const RunOptions& options) {
                   fs::remove_all(w.folder() / "tour", ignored);
                   write_tour(w, options, "", w.folder() / "tour/tour.mp4", w.folder() / "tour/frames", control);
                   return files_in(w.folder(), "tour");
+                }},
+      Stage{.name = "report",
+            .sections = {},
+            .after = {"trajectory", "map", "octree", "scene", "tour"},
+            .inputs = {},
+            .run =
+                [&set](Workspace& w, const RunControl&, const std::string&) {
+                  write_report(w, set);
+                  return files_in(w.folder(), "report");
                 }},
   };
 }

@@ -1,4 +1,4 @@
-// The stages that write a run's products: trajectories, maps, octree, scene and tour.
+// The stages that write a run's products: trajectories, maps, octree, scene, tour and report.
 #pragma once
 
 #include <vector>
@@ -30,8 +30,9 @@ struct RunOptions {
 };
 
 // In order; each needs the stage "frames". Map, octree and tour show the sub-map with most poses, the scene and the
-// trajectories all of them. The options must outlive the stages.
-std::vector<pipeline::Stage> product_stages(const RunOptions& options);
+// trajectories all of them. The report comes last and shows what the others made; it lists the options of `set` that
+// are not the default. Options and set must outlive the stages.
+std::vector<pipeline::Stage> product_stages(const RunOptions& options, const OptionSet& set);
 
 // The layers of a sub-map's map: where no floor was found, it is taken to lie a usual camera height below the first
 // camera.

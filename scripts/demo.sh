@@ -43,6 +43,7 @@ echo "Look at:"
 look() {
   [ ! -e "$out/$1" ] || printf '  %-32s %s\n' "$out/$1" "$2"
 }
+look report/index.html "everything on one page, in a browser"
 look map/map.png "the map; map_picture.png with scale and path, map.yaml for ROS"
 look model/scene.glb "the 3-D scene, in any glTF viewer"
 look octree/map.bt "the octree, in octovis"

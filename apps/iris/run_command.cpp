@@ -57,7 +57,8 @@ int run(Run& run) {
   if (run.debug_motion) arguments.options.library.motion_pictures = out / "debug" / "motion";
   std::vector<pipeline::Stage> stages = {pipeline::frames_stage(*session, arguments.options.library),
                                          pipeline::loop_stage(arguments.options.library)};
-  for (pipeline::Stage& stage : exporters::product_stages(arguments.options)) stages.push_back(std::move(stage));
+  for (pipeline::Stage& stage : exporters::product_stages(arguments.options, arguments.set))
+    stages.push_back(std::move(stage));
   std::vector<std::string> ran;
   with_threads(arguments.threads(),
                [&] { ran = pipeline::run_stages(stages, arguments.set, workspace, arguments.control()); });
@@ -84,7 +85,7 @@ int run(Run& run) {
           "whose rows correspond), and that neighbouring frames show the same things");
     }
   }
-  spdlog::info("look at {0}/map/map.png, {0}/tour/tour.mp4, {0}/model/scene.glb", out.string());
+  spdlog::info("look at {}/report/index.html: everything that was made, and how good it is", out.string());
   return summary.complete() ? kGood : kIncomplete;
 }
 
@@ -93,7 +94,7 @@ int run(Run& run) {
 Command add_run(CLI::App& program) {
   CLI::App* command =
       program.add_subcommand("run",
-                             "The main job: path, maps, octree, 3-D scene and tour of a recorded session.\n"
+                             "The main job: path, maps, octree, 3-D scene, tour and report of a recorded session.\n"
                              "The same command again resumes; with changed options it redoes only what they affect.");
   auto state = std::make_shared<Run>(*command);
   command

@@ -12,6 +12,8 @@
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <random>
+#include <regex>
+#include <set>
 #include <sstream>
 #include <thread>
 
@@ -29,6 +31,7 @@ using iris::testing::TemporaryFolder;
 using iris::testing::write_synthetic_session;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 // Small pictures and a short tour: the tests look at behaviour, not at quality.
 const std::vector<std::string> kFast = {"--stereo.disparities", "48",  "--tour.seconds", "1", "--tour.width", "160",
@@ -109,6 +112,7 @@ TEST_F(Cli, RunWritesEveryProduct) {
                            "model/scene.glb",
                            "tour/tour.mp4",
                            "tour/frames/000000.png",
+                           "report/index.html",
                            "views/000000.left.png",
                            "views/000000.disparity.png",
                            "views/000000.origin.png",
@@ -131,6 +135,24 @@ TEST_F(Cli, TheSheetSaysWhatWasRecordedAndHowWell) {
         "Occupied +[0-9.]+ m²", "Software +IRIS [0-9]", "1 : [0-9]+", "map cell 0.05 m"}) {
     EXPECT_THAT(sheet, ::testing::ContainsRegex(line));
   }
+}
+
+// Every file that the report refers to is there, and it tells what `info` tells.
+TEST_F(Cli, TheReportShowsWhatWasMade) {
+  const std::string page = read_file(reference() / "report/index.html");
+  const std::regex link("(?:href|src)=\"([^\"]+)\"");
+  std::set<std::string> files;
+  for (std::sregex_iterator at(page.begin(), page.end(), link), end; at != end; ++at) {
+    files.insert((*at)[1]);
+    EXPECT_TRUE(fs::exists(reference() / "report" / (*at)[1].str())) << (*at)[1];
+  }
+  for (const char* file : {"../tour/tour.mp4", "../map/map_picture.png", "../map/sheet.pdf", "../octree/map.ot",
+                           "../model/scene.glb", "../trajectory/tum.txt", "view_000000.jpg", "motions.svg"}) {
+    EXPECT_TRUE(files.contains(file)) << file;
+  }
+  EXPECT_THAT(page, AllOf(HasSubstr("<h1>session</h1>"), HasSubstr("14 of 14 with a pose"),
+                          HasSubstr("<code>stereo.disparities</code></td><td>48</td><td>0</td>"),
+                          Not(HasSubstr("class=warning"))));
 }
 
 TEST_F(Cli, ThePathIsTheSimulatedOne) {

@@ -95,6 +95,8 @@ TEST_F(SimulateCli, PartsThatNeverMeetAreKeptApart) {
   blacken(session, half + 5, frames(session));
   const auto run = run_program({"run", session.string(), "-o", out.string(), "--tour.seconds", "1"});
   EXPECT_EQ(run.exit_code, 4) << run.output;
+  EXPECT_THAT(read_file(out / "report/index.html"),
+              AllOf(HasSubstr("broke into 2 sub-maps"), HasSubstr("show too little to be placed")));
   EXPECT_THAT(run.output, HasSubstr("2 sub-maps"));
   EXPECT_TRUE(fs::exists(out / "trajectory/tum_submap1.txt"));
 }

@@ -1,0 +1,68 @@
+#include "export/html.h"
+
+#include <fmt/format.h>
+
+namespace iris::exporters::html {
+namespace {
+
+constexpr std::string_view kStyle = R"(
+:root { color-scheme: light dark; }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2rem auto; padding: 0 1rem; }
+h1 { margin-bottom: .5rem; }
+table { border-collapse: collapse; margin: .5rem 0; font-variant-numeric: tabular-nums; }
+th, td { text-align: left; vertical-align: top; padding: .15rem .9rem .15rem 0; }
+tr + tr > * { border-top: 1px solid #8884; }
+.facts th { font-weight: 600; white-space: nowrap; }
+.warning { border-left: .3rem solid #d55e00; padding: .3rem .8rem; background: #d55e0018; }
+.rejected { opacity: .6; }
+.pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 30rem), 1fr)); gap: 1rem; }
+figure { margin: 0; }
+figure img, video { width: 100%; background: #fff; border: 1px solid #8886; }
+figcaption { font-size: .9rem; opacity: .8; }
+summary { cursor: pointer; font-weight: 600; margin: .4rem 0; }
+)";
+
+}  // namespace
+
+std::string escape(std::string_view text) {
+  std::string escaped;
+  for (const char c : text) {
+    switch (c) {
+      case '&':
+        escaped += "&amp;";
+        break;
+      case '<':
+        escaped += "&lt;";
+        break;
+      case '>':
+        escaped += "&gt;";
+        break;
+      case '"':
+        escaped += "&quot;";
+        break;
+      default:
+        escaped += c;
+    }
+  }
+  return escaped;
+}
+
+std::string page(std::string_view title, std::string_view body) {
+  return fmt::format(
+      "<!DOCTYPE html>\n<html lang=en>\n<head>\n<meta charset=utf-8>\n"
+      "<meta name=viewport content=\"width=device-width, initial-scale=1\">\n"
+      "<title>{0}</title>\n<style>{1}</style>\n</head>\n<body>\n<h1>{0}</h1>\n{2}</body>\n</html>\n",
+      escape(title), kStyle, body);
+}
+
+std::string figure(std::string_view source, std::string_view caption) {
+  return fmt::format(
+      "<figure><a href=\"{0}\"><img src=\"{0}\" alt=\"{1}\" loading=lazy></a><figcaption>{1}</figcaption></figure>\n",
+      escape(source), escape(caption));
+}
+
+std::string details(std::string_view title, std::string_view body) {
+  return fmt::format("<details><summary>{}</summary>\n{}</details>\n", escape(title), body);
+}
+
+}  // namespace iris::exporters::html

@@ -84,7 +84,7 @@ TEST(RangeError, EqualsTheSpreadOfSimulatedMeasurements) {  // (4.23), (4.24)
         {p}, [](const auto& points) -> Eigen::VectorXd { return Eigen::VectorXd::Constant(1, points[0].norm()); },
         kDraws)(0, 0));
     EXPECT_NEAR(range_error(kCamera, p, 0.1) / simulated, 1, 0.02);
-    EXPECT_NEAR(approximate_range_error(kCamera, p, 0.1) / simulated, 1, p.z() < 1 ? 0.06 : 0.04);
+    EXPECT_NEAR(approximate_range_error(kCamera, p, 0.1) / simulated, 1, 0.02);
   }
 }
 

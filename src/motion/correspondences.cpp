@@ -8,6 +8,13 @@
 #include "iris/motion/track.h"
 
 namespace iris::motion {
+namespace {
+
+// [px] Where corners move by less, exposures that are shorter than the time between the views by far blur nothing that
+// matters.
+constexpr double kNoBlur = 10;
+
+}  // namespace
 
 RankPatch turned(const RankPatch& patch) {
   RankPatch result{};
@@ -70,7 +77,10 @@ std::vector<Correspondence> predicted_matches(const ViewFeatures& prev, const Vi
     const Eigen::Vector2d predicted = expected.head<2>();
     const Eigen::Matrix3d warp = plane_warp(camera, corner, cur_from_prev);
     const TrackedSurface surface = corner_surface(prev.disparity, corner);
-    const PatchTrack track = track_patch(prev.image, {corner.x, corner.y}, cur.image, predicted, warp, surface);
+    // Both images are blurred about along the way that the corner took, but not alike.
+    Eigen::Vector2d blur = predicted - Eigen::Vector2d(corner.x, corner.y);
+    if (blur.norm() < kNoBlur) blur.setZero();
+    const PatchTrack track = track_patch(prev.image, {corner.x, corner.y}, cur.image, predicted, warp, surface, blur);
     if (!track.found || track.similarity < options.min_similarity) continue;
     const double moved = (track.position - predicted).norm();
     if (moved > options.max_refinement) continue;
@@ -83,7 +93,7 @@ std::vector<Correspondence> predicted_matches(const ViewFeatures& prev, const Vi
       right_from_prev.translation().x() -= camera.baseline;
       const Eigen::Vector2d start(track.position.x() - disparity, track.position.y());
       const PatchTrack right = track_along_row(prev.image, {corner.x, corner.y}, cur.right, start,
-                                               plane_warp(camera, corner, right_from_prev), surface);
+                                               plane_warp(camera, corner, right_from_prev), surface, blur);
       if (right.found && std::abs(right.position.x() - start.x()) <= kMaxCorrection) {
         disparity = track.position.x() - right.position.x();
         found.left_covariance = position_covariance(track);

@@ -1,6 +1,7 @@
 #include "iris/motion/track.h"
 
 #include <Eigen/LU>
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
@@ -36,11 +37,12 @@ int32_t value_sum(const Square& a) {
 // The surroundings of `from` at `at` as they appear in `to`, and their gradients.
 struct Template {
   Square values{}, dx{}, dy{};
+  Square blur{};    // a quarter of the second derivative along the direction of the blur
   Square inside{};  // 1 where the pixel belongs to the surface
 };
 
 bool sample_template(const cv::Mat1b& image, const Eigen::Vector2d& at, const Eigen::Matrix3d& from_from_to,
-                     const TrackedSurface& surface, Template& result) {
+                     const TrackedSurface& surface, const Eigen::Vector2d& blur, Template& result) {
   constexpr int kSide = kTrackWindow + 2;  // one more on each side for the gradients
   constexpr int kReach = kHalf + 1;
   constexpr int kFar = 256;
@@ -109,6 +111,21 @@ bool sample_template(const cv::Mat1b& image, const Eigen::Vector2d& at, const Ei
       result.dy[j * kRow + i] = static_cast<int16_t>(in * ((v[j + 2][i + 1] - v[j][i + 1]) / 2));
     }
   }
+  if (blur.isZero()) return true;
+  // A little more blur along a line adds to an image its second derivative along that line.
+  const Eigen::Vector2f along = blur.normalized().cast<float>();
+  const float xx = along.x() * along.x() / 4, yy = along.y() * along.y() / 4, xy = along.x() * along.y() / 8;
+  constexpr float kMost = 127 * kScale;  // as large as a difference of first order, so that sums fit
+  for (int j = 0; j < kTrackWindow; ++j) {
+    for (int i = 0; i < kTrackWindow; ++i) {
+      const int middle = 2 * v[j + 1][i + 1];
+      const float second = xx * static_cast<float>(v[j + 1][i] + v[j + 1][i + 2] - middle) +
+                           yy * static_cast<float>(v[j][i + 1] + v[j + 2][i + 1] - middle) +
+                           xy * static_cast<float>(v[j][i] + v[j + 2][i + 2] - v[j][i + 2] - v[j + 2][i]);
+      const float rounded = std::min(std::max(second, -kMost), kMost) + (second < 0 ? -0.5f : 0.5f);
+      result.blur[j * kRow + i] = static_cast<int16_t>(static_cast<int16_t>(rounded) * inside[j + 1][i + 1]);
+    }
+  }
   return true;
 }
 
@@ -132,9 +149,10 @@ bool sample_square(const cv::Mat1b& image, const Eigen::Vector2d& p, Square& res
   return true;
 }
 
-// Sums over the square in `to`, as far as it shows the surface, and over its products with the template.
+// Sums over the square in `to`, as far as it shows the surface, and over its products with the template; that with the
+// blur is left to the caller.
 struct Sums {
-  int32_t values = 0, dx = 0, dy = 0, both = 0;
+  int32_t values = 0, dx = 0, dy = 0, both = 0, blur = 0;
 };
 
 Sums sums_of(const Square& square, const Template& t) {
@@ -150,7 +168,8 @@ Sums sums_of(const Square& square, const Template& t) {
 }
 
 PatchTrack track(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to, const Eigen::Vector2d& start,
-                 const Eigen::Matrix3d& to_from_from, const TrackedSurface& surface, bool along_row) {
+                 const Eigen::Matrix3d& to_from_from, const TrackedSurface& surface, const Eigen::Vector2d& blur,
+                 bool along_row) {
   constexpr int kSteps = 20;
   constexpr double kRest = 0.005;  // [px] a step below this changes nothing
   constexpr double kFlat = 1.0;    // [(grey levels/px)^2] least mean squared gradient any way
@@ -159,7 +178,7 @@ PatchTrack track(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat
   PatchTrack result;
   Template t;
   if (!(std::abs(to_from_from.topLeftCorner<2, 2>().determinant()) > 0.1) ||
-      !sample_template(from, at, to_from_from.inverse(), surface, t)) {
+      !sample_template(from, at, to_from_from.inverse(), surface, blur, t)) {
     return result;
   }
   const double count = value_sum(t.inside);
@@ -172,44 +191,55 @@ PatchTrack track(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat
       t.values[k] = static_cast<int16_t>(t.values[k] - middle * t.inside[k]);
     }
   }
-  // Normal equations of the offset (dx, dy) and the contrast; the brightness is eliminated by the means.
-  const Eigen::Vector3d sum(value_sum(t.dx), value_sum(t.dy), value_sum(t.values));
-  Eigen::Matrix3d products;
-  products << product_sum(t.dx, t.dx), product_sum(t.dx, t.dy), product_sum(t.dx, t.values),  //
-      product_sum(t.dx, t.dy), product_sum(t.dy, t.dy), product_sum(t.dy, t.values),          //
-      product_sum(t.dx, t.values), product_sum(t.dy, t.values), product_sum(t.values, t.values);
-  Eigen::Matrix3d normal = products - sum * sum.transpose() / count;
+  // Normal equations of the offset (dx, dy), the contrast and the blur; the brightness is eliminated by the means.
+  const std::array<const Square*, 4> columns = {&t.dx, &t.dy, &t.values, &t.blur};
+  const int unknowns = blur.isZero() ? 3 : 4;
+  Eigen::Vector4d sum = Eigen::Vector4d::Zero();
+  Eigen::Matrix4d products = Eigen::Matrix4d::Zero();
+  for (int i = 0; i < unknowns; ++i) {
+    sum(i) = value_sum(*columns[i]);
+    for (int k = 0; k <= i; ++k) products(i, k) = products(k, i) = product_sum(*columns[i], *columns[k]);
+  }
+  const Eigen::Matrix4d centred = products - sum * sum.transpose() / count;
+  Eigen::Matrix4d normal = centred;
   const double xx = normal(0, 0), xy = normal(0, 1), yy = normal(1, 1);
   const double smallest = along_row ? xx : (xx + yy) / 2 - std::hypot((xx - yy) / 2, xy);
   if (!(smallest > kFlat * kScale * kScale * count)) return result;
-  const double of_template = normal(2, 2);
   if (along_row) {
     normal.row(1).setZero();
     normal.col(1).setZero();
     normal(1, 1) = 1;
   }
-  const Eigen::Matrix3d inverse = normal.inverse();
+  // Blur looks like less contrast where the texture is a wave: then it is not looked for. By noise of 2 grey levels and
+  // a difference of the blurs of a pixel.
+  constexpr double kLittleBlur = 2 * kScale;
+  normal(3, 3) += kLittleBlur * kLittleBlur;
+  const Eigen::Matrix4d inverse = normal.inverse();
 
   Eigen::Vector2d p = start;
   Square square{};
   for (int step = 0; step < kSteps; ++step) {
     if (!sample_square(to, p, square)) return result;
-    const Sums sums = sums_of(square, t);
+    Sums sums = sums_of(square, t);
+    if (unknowns == 4) sums.blur = product_sum(square, t.blur);
     // Of the products with the square and, for the offset, with the difference between square and template.
-    const Eigen::Vector3d with_square = Eigen::Vector3d(sums.dx, sums.dy, sums.both) - sums.values / count * sum;
-    Eigen::Vector3d gradient = with_square - (products.col(2) - sum * (sum(2) / count));
+    const Eigen::Vector4d with_square =
+        Eigen::Vector4d(sums.dx, sums.dy, sums.both, sums.blur) - sums.values / count * sum;
+    Eigen::Vector4d gradient = with_square - centred.col(2);
     if (along_row) gradient(1) = 0;
-    const Eigen::Vector3d move = -inverse * gradient;
+    const Eigen::Vector4d move = -inverse * gradient;
     p += move.head<2>();
     if (!((p - start).norm() <= kHalf)) return result;
     if (move.head<2>().norm() >= kRest) continue;
     const double values = sums.values, of_square = square_sum(square, t.inside) - values * values / count;
-    const double contrast = 1 - move(2);
+    const Eigen::Vector2d weights(1 - move(2), -move(3));  // of the template and its blur in the square
+    const double contrast = weights(0);
     if (!(contrast > kFaint)) return result;
-    const double residual = of_square - 2 * contrast * with_square(2) + contrast * contrast * of_template;
+    const double residual =
+        of_square - 2 * weights.dot(with_square.tail<2>()) + weights.dot(centred.bottomRightCorner<2, 2>() * weights);
     return {.found = true,
             .position = p,
-            .similarity = with_square(2) / std::sqrt(std::max(of_template * of_square, 1.0)),
+            .similarity = with_square(2) / std::sqrt(std::max(centred(2, 2) * of_square, 1.0)),
             .covariance = std::max(residual, 0.0) / (count * contrast * contrast) * inverse.topLeftCorner<2, 2>()};
   }
   return result;
@@ -218,22 +248,22 @@ PatchTrack track(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat
 }  // namespace
 
 PatchTrack track_patch(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to,
-                       const Eigen::Vector2d& start, const Eigen::Matrix3d& to_from_from,
-                       const TrackedSurface& surface) {
-  return track(from, at, to, start, to_from_from, surface, false);
+                       const Eigen::Vector2d& start, const Eigen::Matrix3d& to_from_from, const TrackedSurface& surface,
+                       const Eigen::Vector2d& blur) {
+  return track(from, at, to, start, to_from_from, surface, blur, false);
 }
 
 PatchTrack track_patch(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to,
                        const Eigen::Vector2d& start, const Eigen::Matrix2d& to_from_from) {
   Eigen::Matrix3d warp = Eigen::Matrix3d::Identity();
   warp.topLeftCorner<2, 2>() = to_from_from;
-  return track(from, at, to, start, warp, {}, false);
+  return track(from, at, to, start, warp, {}, Eigen::Vector2d::Zero(), false);
 }
 
 PatchTrack track_along_row(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to,
                            const Eigen::Vector2d& start, const Eigen::Matrix3d& to_from_from,
-                           const TrackedSurface& surface) {
-  return track(from, at, to, start, to_from_from, surface, true);
+                           const TrackedSurface& surface, const Eigen::Vector2d& blur) {
+  return track(from, at, to, start, to_from_from, surface, blur, true);
 }
 
 }  // namespace iris::motion

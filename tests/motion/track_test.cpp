@@ -4,7 +4,9 @@
 
 #include <Eigen/Geometry>
 #include <Eigen/LU>
+#include <cmath>
 #include <numbers>
+#include <opencv2/imgproc.hpp>
 #include <random>
 
 #include "support/synthetic_views.h"
@@ -74,6 +76,41 @@ TEST(TrackPatch, IgnoresBrightnessAndIsUnbiasedUnderNoise) {
   // Each is off by about 0.1 px. Sampling between pixels smooths noise, which favours positions half way between them:
   // 0.033 px here, with noise of 2 % of the contrast.
   EXPECT_LT(mean.norm(), 0.045);
+}
+
+// The texture while the camera moves: the mean over `way` [px], around `centre`.
+cv::Mat1b blurred(const Eigen::Vector2d& centre, const Eigen::Vector2d& way) {
+  constexpr int kMoments = 16;
+  cv::Mat1f sum(80, 90, 0.0f);
+  for (int k = 0; k < kMoments; ++k) {
+    cv::accumulate(textured(centre + ((k + 0.5) / kMoments - 0.5) * way, kNone, 1, 0, 0, 1), sum);
+  }
+  return cv::Mat1b(sum / kMoments);
+}
+
+TEST(TrackPatch, FollowsWhatMotionBlursMoreOrLess) {
+  // Pieces of texture are not symmetric, so that blur moves what fits best. Measured: 0.032 px (RMS) against 0.019 px,
+  // along the row alone 0.024 against 0.015 px.
+  const Eigen::Vector2d along(1, 0.3);
+  double plain = 0, aware = 0, plain_in_row = 0, aware_in_row = 0;
+  for (int i = 0; i < 24; ++i) {
+    const Eigen::Vector2d at(36.3 + i % 6, 33.6 + 3 * (i / 6)), place = at + Eigen::Vector2d(2.55, 1.4);
+    const cv::Mat1b from = blurred({40.3, 37.6}, 1 * along);
+    for (const double length : {0.0, 3.0}) {
+      const cv::Mat1b to = blurred({42.85, 39.0}, length * along);
+      const auto error = [&](const PatchTrack& track) {
+        EXPECT_TRUE(track.found);
+        return (track.position - place).squaredNorm();
+      };
+      const Eigen::Matrix3d none = Eigen::Matrix3d::Identity();
+      plain += error(track_patch(from, at, to, place, none));
+      aware += error(track_patch(from, at, to, place, none, {}, along));
+      plain_in_row += error(track_along_row(from, at, to, place, none));
+      aware_in_row += error(track_along_row(from, at, to, place, none, {}, along));
+    }
+  }
+  EXPECT_LT(aware, 0.5 * plain);
+  EXPECT_LT(aware_in_row, 0.5 * plain_in_row);
 }
 
 TEST(TrackPatch, IgnoresContrast) {

@@ -1,5 +1,5 @@
-// Chapter 5: counts of correspondences (fig. 5.5), errors of closed sequences (table 5.1, fig. 5.7), dependency on the
-// frame rate (fig. 5.10).
+// Chapter 5: counts of correspondences (fig. 5.5, with Rank and with SAD), errors of closed sequences (table 5.1,
+// fig. 5.7), dependency on the frame rate (fig. 5.10).
 #include <fmt/format.h>
 
 #include <Eigen/Cholesky>
@@ -132,6 +132,34 @@ void print_frame_rates(const Sequence& sequence) {
   }
 }
 
+// What the surroundings of corners are compared by, without the second search where a first motion predicts the
+// corners.
+void print_measures(const Sequence& sequence) {
+  fmt::print("\n### Figure 5.5b: correspondences by Rank and by SAD, {}\n\n", sequence.name);
+  print_heading(
+      {"fps", "compared by", "initial", "consistent", "of the initial ones", "used: mean", "least", "failed"});
+  for (const int stride : {3, 8, 17}) {
+    for (const char* measure : {"rank", "sad"}) {
+      ScsOptions options;
+      options.compare = measure;
+      options.predict = false;
+      const std::vector<MotionEstimate> motions =
+          motions_of(features_of(sequence, thesis_stereo(), options, stride), sequence.camera, options);
+      double initial = 0, consistent = 0, used = 0;
+      int least = 1 << 30, failed = 0;
+      for (const MotionEstimate& motion : motions) {
+        initial += motion.initial, consistent += motion.consistent, used += motion.used;
+        least = std::min(least, motion.used);
+        failed += motion.status != MotionStatus::ok;
+      }
+      const double n = static_cast<double>(motions.size());
+      print_row({fmt::format("{:.1f}", sequence.rate / stride), measure, fmt::format("{:.0f}", initial / n),
+                 fmt::format("{:.0f}", consistent / n), fmt::format("{:.0f} %", 100 * consistent / initial),
+                 fmt::format("{:.0f}", used / n), fmt::format("{}", least), fmt::format("{}", failed)});
+    }
+  }
+}
+
 void print_closed_sequences() {
   fmt::print("\n### Table 5.1 and figure 5.7: error of closed sequences, 8 fps, with and without rejection\n\n");
   print_heading(
@@ -238,6 +266,7 @@ void print_motion_tables() {
   print_closed_sequences();
   const Sequence room = simulate_sequence("seminar-room", arbitrary(25));
   print_frame_rates(room);
+  print_measures(room);
   print_covariances();
   print_any_pairs(room, thesis_stereo(), 17, 6);
   simulate::SimulateOptions walk;

@@ -30,9 +30,12 @@ struct PatchTrack {
 // (0, 0) where it is. Not found: the square leaves an image, is too flat, too little of it belongs to the surface, the
 // position does not come to rest within 20 steps or moves away by more than half a square. Sums are of integers, so
 // that the result is the same on every machine.
+// blur: the direction in `to` along which one image may be blurred more than the other, by motion (its length does not
+// matter); what that changes is estimated together with the position. Texture that is not symmetric, such as stripes of
+// different widths, seems to move otherwise. Zero: both are equally sharp.
 PatchTrack track_patch(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to,
                        const Eigen::Vector2d& start, const Eigen::Matrix3d& to_from_from,
-                       const TrackedSurface& surface = {});
+                       const TrackedSurface& surface = {}, const Eigen::Vector2d& blur = Eigen::Vector2d::Zero());
 // Turned and scaled, but not in perspective.
 PatchTrack track_patch(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to,
                        const Eigen::Vector2d& start, const Eigen::Matrix2d& to_from_from);
@@ -40,6 +43,6 @@ PatchTrack track_patch(const cv::Mat1b& from, const Eigen::Vector2d& at, const c
 // The same for a position that is known to lie in the row of `start`.
 PatchTrack track_along_row(const cv::Mat1b& from, const Eigen::Vector2d& at, const cv::Mat1b& to,
                            const Eigen::Vector2d& start, const Eigen::Matrix3d& to_from_from,
-                           const TrackedSurface& surface = {});
+                           const TrackedSurface& surface = {}, const Eigen::Vector2d& blur = Eigen::Vector2d::Zero());
 
 }  // namespace iris::motion

@@ -10,7 +10,6 @@
 #include <unordered_map>
 
 #include "iris/core/error.h"
-#include "iris/loop/block_cholesky.h"
 #include "iris/reconstruct/error_propagation.h"
 
 namespace iris::exporters {
@@ -263,48 +262,6 @@ PickedPoint parse_point(const std::string& text) {
   return point;
 }
 
-Eigen::MatrixXd joint_covariance(const PoseGraph& graph, const std::vector<int>& frames) {
-  IRIS_CHECK(!frames.empty());
-  std::unordered_map<int, const PoseNode*> node_of_frame;
-  for (const PoseNode& node : graph.nodes) node_of_frame[node.frame_idx] = &node;
-  const int submap = node_of_frame.at(frames.front())->submap;
-  std::unordered_map<int, int> row_of_frame;  // -1: held fixed
-  for (const PoseNode& node : graph.nodes) {
-    if (node.submap == submap) row_of_frame[node.frame_idx] = static_cast<int>(row_of_frame.size()) - 1;
-  }
-  std::vector<std::pair<int, int>> pairs;
-  std::vector<const PoseEdge*> edges;
-  for (const PoseEdge& edge : graph.edges) {
-    const auto i = row_of_frame.find(edge.i), j = row_of_frame.find(edge.j);
-    if (i == row_of_frame.end() || j == row_of_frame.end()) continue;
-    edges.push_back(&edge);
-    pairs.emplace_back(i->second, j->second);
-  }
-  const int rows = static_cast<int>(row_of_frame.size()) - 1;
-  const auto wanted = static_cast<Eigen::Index>(6 * frames.size());
-  if (rows == 0) return Eigen::MatrixXd::Zero(wanted, wanted);
-  loop::BlockCholesky<6> matrix(rows, pairs);
-  matrix.set_zero();
-  for (size_t e = 0; e < edges.size(); ++e) {
-    const PoseEdge& edge = *edges[e];
-    const Pose& world_from_i = node_of_frame.at(edge.i)->world_from_cam;
-    const Pose& world_from_j = node_of_frame.at(edge.j)->world_from_cam;
-    const loop::EdgeJacobians by = loop::edge_jacobians(world_from_i, world_from_j,
-                                                        loop::edge_residual(world_from_i, world_from_j, edge.i_from_j));
-    const auto [i, j] = pairs[e];
-    if (i >= 0) matrix.add(i, by.by_i.transpose() * edge.information * by.by_i);
-    if (j >= 0) matrix.add(j, by.by_j.transpose() * edge.information * by.by_j);
-    matrix.add_pair(static_cast<int>(e), by.by_i.transpose() * edge.information * by.by_j);
-  }
-  if (!matrix.factorise()) return Eigen::MatrixXd::Constant(wanted, wanted, std::numeric_limits<double>::infinity());
-  Eigen::MatrixXd right = Eigen::MatrixXd::Zero(6 * rows, wanted);
-  for (size_t k = 0; k < frames.size(); ++k) {
-    const int row = row_of_frame.at(frames[k]);
-    if (row >= 0) right.block<6, 6>(6 * row, static_cast<Eigen::Index>(6 * k)).setIdentity();
-  }
-  return right.transpose() * matrix.solve(right);
-}
-
 Measurement measure(const PoseGraph& graph, const views::ViewStore& views, const PickedPoint& a, const PickedPoint& b,
                     const MeasureOptions& options, const std::string& where) {
   Finder finder(views, options);
@@ -340,7 +297,7 @@ Measurement measure(const PoseGraph& graph, const views::ViewStore& views, const
       }
     }
   }
-  const Eigen::MatrixXd joint = joint_covariance(graph, frames);
+  const Eigen::MatrixXd joint = loop::joint_covariance(graph, frames);
   std::unordered_map<int, const PoseNode*> node_of_frame;
   for (const PoseNode& node : graph.nodes) node_of_frame[node.frame_idx] = &node;
 

@@ -57,8 +57,4 @@ struct Measurement {
 Measurement measure(const PoseGraph& graph, const views::ViewStore& views, const PickedPoint& a, const PickedPoint& b,
                     const MeasureOptions& options, const std::string& where);
 
-// The joint covariance of some poses of a sub-map by its pose graph, in world perturbations (dt, dw) one pose after the
-// other; a node of the sub-map is held fixed, so that only what does not change with a common motion has a meaning.
-Eigen::MatrixXd joint_covariance(const PoseGraph& graph, const std::vector<int>& frames);
-
 }  // namespace iris::exporters

@@ -15,9 +15,9 @@
 #include <opencv2/imgproc.hpp>
 #include <optional>
 
+#include "block_cholesky.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
-#include "iris/loop/block_cholesky.h"
 #include "iris/loop/pose_graph.h"
 #include "iris/motion/corner_disparity.h"
 #include "iris/motion/correspondences.h"

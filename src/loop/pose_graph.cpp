@@ -11,10 +11,11 @@
 #include <numeric>
 #include <optional>
 #include <queue>
+#include <unordered_map>
 
+#include "block_cholesky.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
-#include "iris/loop/block_cholesky.h"
 #include "iris/loop/twist.h"
 #include "iris/motion/minimise.h"
 #include "pose_problem.h"
@@ -432,31 +433,47 @@ double median(std::vector<double> values) {
   return *middle;
 }
 
+// An edge to first order, as it counts.
+struct LinearEdge {
+  EdgeJacobians by;
+  Matrix6d information;
+};
+
+// The matrix of the normal equations. `pairs`: the unknowns of each edge's poses, -1 = fixed.
+BlockCholesky<6> normal_matrix(int unknowns, const std::vector<std::pair<int, int>>& pairs,
+                               const std::vector<LinearEdge>& edges) {
+  BlockCholesky<6> matrix(unknowns, pairs);
+  for (size_t k = 0; k < edges.size(); ++k) {
+    const auto& [i, j] = pairs[k];
+    const auto& [by, information] = edges[k];
+    const Matrix6d weighted_j = information * by.by_j;
+    if (i >= 0) matrix.add(i, by.by_i.transpose() * information * by.by_i);
+    if (j >= 0) matrix.add(j, by.by_j.transpose() * weighted_j);
+    matrix.add_pair(static_cast<int>(k), by.by_i.transpose() * weighted_j);
+  }
+  return matrix;
+}
+
 // The active links at some poses to first order: what their minimum is sure of.
 class Linearised {
  public:
   Linearised(const std::vector<Link>& links, std::vector<int> active, const Unknowns& unknowns,
              const std::vector<Pose>& poses, double phi)
-      : links_(links), active_(std::move(active)), unknowns_(unknowns), parts_(active_.size()) {
-    BlockCholesky<6> system(unknowns.count, pairs_of(links, active_, unknowns));
+      : links_(links),
+        active_(std::move(active)),
+        unknowns_(unknowns),
+        edges_(active_.size()),
+        squares_(active_.size()) {
     parallel_chunks(0, static_cast<int>(active_.size()), 128, [&](int begin, int end) {
       for (int k = begin; k < end; ++k) {
         const Link& link = links[active_[k]];
         const Vector6d residual = edge_residual(poses[link.i], poses[link.j], link.i_from_j);
-        Part& part = parts_[k];
-        part.by = edge_jacobians(poses[link.i], poses[link.j], residual);
-        part.square = residual.dot(link.information * residual);
-        part.information = (link.loop ? weight_of(part.square, phi) : 1) * link.information;
+        squares_[k] = residual.dot(link.information * residual);
+        edges_[k] = {.by = edge_jacobians(poses[link.i], poses[link.j], residual),
+                     .information = (link.loop ? weight_of(squares_[k], phi) : 1) * link.information};
       }
     });
-    for (size_t k = 0; k < active_.size(); ++k) {
-      const int i = unknown_i(k), j = unknown_j(k);
-      const Part& part = parts_[k];
-      const Matrix6d weighted_j = part.information * part.by.by_j;
-      if (i >= 0) system.add(i, part.by.by_i.transpose() * part.information * part.by.by_i);
-      if (j >= 0) system.add(j, part.by.by_j.transpose() * weighted_j);
-      system.add_pair(static_cast<int>(k), part.by.by_i.transpose() * weighted_j);
-    }
+    BlockCholesky<6> system = normal_matrix(unknowns.count, pairs_of(links, active_, unknowns), edges_);
     system.factorise_nearly();
     inverse_ = system.inverse();
   }
@@ -472,14 +489,14 @@ class Linearised {
     std::vector<double> of_loops;
     for (size_t k = 0; k < active_.size(); ++k) {
       const Link& link = links_[active_[k]];
-      const Part& part = parts_[k];
-      const double redundancy = 6 - part.information.cwiseProduct(predicted(k)).sum();
+      const double square = squares_[k];
+      const double redundancy = 6 - edges_[k].information.cwiseProduct(predicted(k)).sum();
       if (link.guessed) continue;
       if (!link.loop) {
-        odometry_square += part.square;
+        odometry_square += square;
         odometry_redundancy += redundancy;
-      } else if (weight_of(part.square, phi) >= kRejectedWeight && redundancy > 0.1) {
-        of_loops.push_back(part.square / redundancy);
+      } else if (weight_of(square, phi) >= kRejectedWeight && redundancy > 0.1) {
+        of_loops.push_back(square / redundancy);
         loop_redundancy += redundancy;
       }
     }
@@ -492,18 +509,13 @@ class Linearised {
   }
 
  private:
-  struct Part {
-    EdgeJacobians by;
-    Matrix6d information;  // weighted
-    double square = 0;
-  };
   int unknown_i(size_t k) const { return unknowns_.of_node[links_[active_[k]].i]; }
   int unknown_j(size_t k) const { return unknowns_.of_node[links_[active_[k]].j]; }
 
   // Covariance of what the poses predict of a link.
   Matrix6d predicted(size_t k) const {
     const int i = unknown_i(k), j = unknown_j(k);
-    const auto& [by_i, by_j] = parts_[k].by;
+    const auto& [by_i, by_j] = edges_[k].by;
     Matrix6d result = Matrix6d::Zero();
     if (i >= 0) result += by_i * inverse_.diagonal[i] * by_i.transpose();
     if (j >= 0) result += by_j * inverse_.diagonal[j] * by_j.transpose();
@@ -515,7 +527,8 @@ class Linearised {
   const std::vector<Link>& links_;
   std::vector<int> active_;
   const Unknowns& unknowns_;
-  std::vector<Part> parts_;
+  std::vector<LinearEdge> edges_;  // of the active links
+  std::vector<double> squares_;    // their squared Mahalanobis distances
   BlockCholesky<6>::Inverse inverse_;
 };
 
@@ -654,6 +667,40 @@ RefinedGraph refine(const PoseGraph& graph, const LoopOptions& options, const st
     result.covariance[node] = linearised->covariances()[at];
   }
   return result;
+}
+
+Eigen::MatrixXd joint_covariance(const PoseGraph& graph, const std::vector<int>& frames) {
+  IRIS_CHECK(!frames.empty());
+  std::unordered_map<int, const PoseNode*> node_of_frame;
+  for (const PoseNode& node : graph.nodes) node_of_frame[node.frame_idx] = &node;
+  const int submap = node_of_frame.at(frames.front())->submap;
+  std::unordered_map<int, int> unknown_of_frame;
+  for (const PoseNode& node : graph.nodes) {
+    if (node.submap == submap) unknown_of_frame[node.frame_idx] = static_cast<int>(unknown_of_frame.size()) - 1;
+  }
+  std::vector<std::pair<int, int>> pairs;
+  std::vector<LinearEdge> edges;
+  for (const PoseEdge& edge : graph.edges) {
+    const auto i = unknown_of_frame.find(edge.i), j = unknown_of_frame.find(edge.j);
+    if (i == unknown_of_frame.end() || j == unknown_of_frame.end()) continue;
+    pairs.emplace_back(i->second, j->second);
+    const Pose& world_from_i = node_of_frame.at(edge.i)->world_from_cam;
+    const Pose& world_from_j = node_of_frame.at(edge.j)->world_from_cam;
+    edges.push_back(
+        {.by = edge_jacobians(world_from_i, world_from_j, edge_residual(world_from_i, world_from_j, edge.i_from_j)),
+         .information = edge.information});
+  }
+  const int unknowns = static_cast<int>(unknown_of_frame.size()) - 1;
+  const auto wanted = static_cast<Eigen::Index>(6 * frames.size());
+  if (unknowns == 0) return Eigen::MatrixXd::Zero(wanted, wanted);
+  BlockCholesky<6> matrix = normal_matrix(unknowns, pairs, edges);
+  if (!matrix.factorise()) return Eigen::MatrixXd::Constant(wanted, wanted, std::numeric_limits<double>::infinity());
+  Eigen::MatrixXd right = Eigen::MatrixXd::Zero(6 * unknowns, wanted);
+  for (size_t k = 0; k < frames.size(); ++k) {
+    const int at = unknown_of_frame.at(frames[k]);
+    if (at >= 0) right.block<6, 6>(6 * at, static_cast<Eigen::Index>(6 * k)).setIdentity();
+  }
+  return right.transpose() * matrix.solve(right);
 }
 
 }  // namespace iris::loop

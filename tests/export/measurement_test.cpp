@@ -218,7 +218,7 @@ TEST(Measurement, JointCovarianceIsThatOfTheGraph) {
     dense += free.transpose() * edge.information * free;
   }
   const Eigen::MatrixXd expected = dense.inverse();
-  const Eigen::MatrixXd joint = joint_covariance(graph, {2, 5, 0});
+  const Eigen::MatrixXd joint = loop::joint_covariance(graph, {2, 5, 0});
   const auto block = [&](int i, int j) { return expected.block<6, 6>(6 * (i - 1), 6 * (j - 1)); };
   const double scale = expected.cwiseAbs().maxCoeff();
   EXPECT_LT((joint.block<6, 6>(0, 0) - block(2, 2)).cwiseAbs().maxCoeff(), 1e-6 * scale);

@@ -1,4 +1,5 @@
-#include "iris/loop/block_cholesky.h"
+
+#include "src/loop/block_cholesky.h"
 
 #include <gtest/gtest.h>
 

@@ -43,6 +43,11 @@ struct RefinedGraph {
 // and then; true: Interrupted is thrown; may be empty.
 RefinedGraph refine(const PoseGraph& graph, const LoopOptions& options, const std::function<bool()>& stopped = {});
 
+// The joint covariance of some poses of a sub-map by the edges of its graph, as they stand, in world perturbations
+// (dt, dw) one pose after the other; the sub-map's first node is held fixed, so that only what does not change with a
+// common motion has a meaning. Infinite if the edges do not determine the poses.
+Eigen::MatrixXd joint_covariance(const PoseGraph& graph, const std::vector<int>& frames);
+
 // The error of an edge, (dt, dw) in the measured motion's own perturbation: the predicted motion is the measured one
 // moved by it, t + dt, exp(dw) R.
 Vector6d edge_residual(const Pose& world_from_i, const Pose& world_from_j, const Pose& i_from_j);

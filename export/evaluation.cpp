@@ -19,6 +19,7 @@
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
 #include "iris/evaluate/images.h"
+#include "iris/loop/pose_graph.h"
 #include "iris/pipeline/frames.h"
 #include "iris/session/image_file.h"
 #include "iris/workspace/workspace.h"
@@ -61,7 +62,19 @@ FigureSection evaluate_maps(const EvaluationRequest& request, const fs::path& es
   }
   const evaluate::MapErrors errors = evaluate::evaluate_map(estimate, truth, truth_from_estimate, request.map);
   if (!request.plots.empty()) plot_map(request.plots, estimate, truth, truth_from_estimate, request.map);
-  return map_section(errors, truth.resolution, request.map);
+  FigureSection section = map_section(errors, truth.resolution, request.map);
+  const auto [bottom, top] = map_heights(estimate_path);
+  const auto [true_bottom, true_top] = map_heights(truth_path);
+  constexpr double kSame = 0.011;  // [m]
+  const bool known = bottom < top && true_bottom < true_top;
+  if (known && (std::abs(bottom - true_bottom) > kSame || std::abs(top - true_top) > kSame)) {
+    section.notes.push_back(fmt::format(
+        "warning: the map shows what stands between {:g} and {:g} m, the plan what does between {:g} and "
+        "{:g} m: obstacles of other heights count as false or missing; map and simulate again with the same "
+        "mapping.bottom and mapping.height",
+        bottom, top, true_bottom, true_top));
+  }
+  return section;
 }
 
 // 255 where the pictures are compared; empty = everywhere.
@@ -291,6 +304,66 @@ class OutputFolder {
     add_consistency(section, evaluate::evaluate_consistency(motions, true_poses),
                     evaluate::evaluate_consistency(loops, true_poses),
                     evaluate::evaluate_consistency(pose_edges(graph), true_poses));
+    add_joint_consistency(section, graph, true_poses);
+  }
+
+  // What the errors of poses along a path have in common makes their NEES differ by chance: the squares of n poses have
+  // the variance of so many independent ones as their joint covariance says. And motions over a part of the path, which
+  // carry the truth's error at two of its poses, but not that of its first one along all of it.
+  void add_joint_consistency(FigureSection& section, const PoseGraph& graph,
+                             const std::map<int64_t, Pose>& true_poses) const {
+    constexpr size_t kPoses = 40;  // of the largest sub-map
+    std::vector<const PoseNode*> nodes, chosen;
+    for (const PoseNode& node : graph.nodes) {
+      if (node.submap == 0 && true_poses.contains(node.stamp_ns)) nodes.push_back(&node);
+    }
+    if (nodes.size() < 3) return;
+    std::vector<int> frames;
+    const size_t count = std::min(kPoses, nodes.size() - 1);
+    for (size_t k = 1; k <= count; ++k) {
+      chosen.push_back(nodes[k * (nodes.size() - 1) / count]);
+      frames.push_back(chosen.back()->frame_idx);
+    }
+    const Eigen::MatrixXd joint = loop::joint_covariance(graph, frames);
+    if (!joint.allFinite()) return;
+    const auto block = [&](size_t k, size_t l) -> Matrix6d {
+      return joint.block<6, 6>(static_cast<Eigen::Index>(6 * k), static_cast<Eigen::Index>(6 * l));
+    };
+    double common = 0, way = 0;
+    std::vector<evaluate::MotionEdge> motions;
+    for (size_t k = 0; k < count; ++k) {
+      for (size_t l = 0; l < count; ++l) {
+        common +=
+            block(k, k).ldlt().solve(block(k, l)).cwiseProduct(block(l, l).ldlt().solve(block(l, k)).transpose()).sum();
+      }
+      if (k == 0) continue;
+      const PoseNode &i = *chosen[k - 1], &j = *chosen[k];
+      const Pose i_from_j = i.world_from_cam.inverse() * j.world_from_cam;
+      const loop::EdgeJacobians by = loop::edge_jacobians(i.world_from_cam, j.world_from_cam, Vector6d::Zero());
+      const Matrix6d cross = by.by_i * block(k - 1, k) * by.by_j.transpose();
+      const Matrix6d covariance = by.by_i * block(k - 1, k - 1) * by.by_i.transpose() +
+                                  by.by_j * block(k, k) * by.by_j.transpose() + cross + cross.transpose();
+      const PoseEdge edge{
+          .i = i.frame_idx, .j = j.frame_idx, .i_from_j = i_from_j, .information = covariance.inverse()};
+      motions.push_back({i.stamp_ns, j.stamp_ns, i_from_j, g2o_information(edge)});
+      way += i_from_j.translation().norm() / static_cast<double>(count - 1);
+    }
+    const double independent =
+        std::clamp(6 * static_cast<double>(count * count) / common, 1.0, static_cast<double>(count));
+    const int degrees = static_cast<int>(std::lround(6 * independent));
+    auto& f = section.figures;
+    f.push_back({"pose_nees_independent", "of so many independent poses, by their joint covariance", independent, "1"});
+    f.push_back({"pose_nees_low", "95 % band of their mean: from",
+                 6 * evaluate::chi_squared_quantile(0.025, degrees) / degrees, "1"});
+    f.push_back({"pose_nees_high", "95 % band of their mean: to",
+                 6 * evaluate::chi_squared_quantile(0.975, degrees) / degrees, "1"});
+    const evaluate::Consistency between = evaluate::evaluate_consistency(motions, true_poses);
+    if (between.edges == 0) return;
+    f.push_back({"part_nees_mean",
+                 fmt::format("NEES of motions between {} poses along the path, mean (6 expected)", count), between.mean,
+                 "1"});
+    f.push_back({"part_nees_median", "NEES of these motions, median (5.35 expected)", between.median, "1"});
+    f.push_back({"part_length", "mean length of these motions", way, "m"});
   }
 
   // The poses as motions from the first camera of their sub-map: what their covariances are stated against.

@@ -125,6 +125,11 @@ cv::Mat1b read_mask(const fs::path& path, cv::Size expected, const std::string& 
   return image;
 }
 
+std::pair<double, double> map_heights(const fs::path& path) {
+  const evaluate::RosMapHeader header = evaluate::parse_ros_map(read_file(path), path);
+  return {header.bottom, header.top};
+}
+
 evaluate::GridMap read_map(const fs::path& path, bool plan) {
   require_file(path);
   evaluate::RosMapHeader header = evaluate::parse_ros_map(read_file(path), path);

@@ -3,6 +3,7 @@
 
 #include <filesystem>
 #include <string>
+#include <utility>
 
 #include "iris/evaluate/map.h"
 #include "iris/evaluate/trajectory.h"
@@ -33,6 +34,8 @@ DisparityTruth read_disparity_truth(const std::filesystem::path& path, double sc
 // 8-bit image of the expected size; empty if there is no such file.
 cv::Mat1b read_mask(const std::filesystem::path& path, cv::Size expected, const std::string& other);
 
+// Heights [m] of what a map of ROS shows, as its comment says; both 0 if it does not.
+std::pair<double, double> map_heights(const std::filesystem::path& path);
 // yaml and image of a ROS map; `plan`: as evaluate::grid_map has it.
 evaluate::GridMap read_map(const std::filesystem::path& path, bool plan);
 

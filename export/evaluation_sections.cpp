@@ -269,6 +269,9 @@ FigureSection map_section(const evaluate::MapErrors& errors, double cell, const 
   f.push_back({"free_wrong", "of them holes in true surfaces", count(errors.free_wrong), ""});
   f.push_back({"free_unseen", "of them where no camera saw that it is free", count(errors.free_unseen), ""});
   f.push_back({"true_free", "free cells of the plan", count(errors.true_free), ""});
+  f.push_back({"faces", "faces of true walls with anything in the map", count(errors.faces), ""});
+  f.push_back({"thickness_mean", "thickness of walls in the map [cells], mean", errors.thickness_mean, "1"});
+  f.push_back({"thickness_95", "of 95 % of them at most [cells]", errors.thickness_95, "1"});
   f.push_back({"distance_median", "occupied cells to the nearest true one, median", errors.distance_median, "m"});
   f.push_back({"distance_mean", "occupied cells to the nearest true one, mean", errors.distance_mean, "m"});
   f.push_back({"distance_rms", "occupied cells to the nearest true one, RMS", errors.distance_rms, "m"});

@@ -5,6 +5,7 @@
 
 #include <charconv>
 #include <cmath>
+#include <cstdio>
 
 #include "iris/core/error.h"
 
@@ -199,6 +200,14 @@ RosMapHeader parse_ros_map(const std::string& text, const fs::path& path) {
   }
   if (!std::isfinite(header.origin_x + header.origin_y + header.yaw)) {
     throw InputError(path, "origin is not finite", "give x, y [m] and yaw [rad]");
+  }
+  const std::string phrase = "between z = ";
+  if (const size_t at = text.find(phrase); at != std::string::npos) {
+    double bottom = 0, top = 0;
+    if (std::sscanf(text.c_str() + at + phrase.size(), "%lf m and %lf m", &bottom, &top) == 2) {
+      header.bottom = bottom;
+      header.top = top;
+    }
   }
   return header;
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
@@ -169,6 +170,29 @@ MapErrors evaluate_map(const GridMap& estimate, const GridMap& truth, const Pose
     ++errors.true_free;
     errors.found_free += near_free(registered.to_estimate(cell));
   });
+  std::vector<int> thicknesses;
+  for_each_cell(truth, Cell::occupied, [&](cv::Point cell) {
+    for (const cv::Point out : {cv::Point(1, 0), cv::Point(-1, 0), cv::Point(0, 1), cv::Point(0, -1)}) {
+      if (truth.at(cell + out) != Cell::free) continue;
+      const auto is_occupied = [&](cv::Point at) { return estimate.at(registered.to_estimate(at)) == Cell::occupied; };
+      int thickness = is_occupied(cell);
+      const auto count_towards = [&](cv::Point step, Cell through) {
+        for (int k = 1; k <= MapErrors::kAcross && truth.at(cell + k * step) == through; ++k) {
+          thickness += is_occupied(cell + k * step);
+        }
+      };
+      count_towards(out, Cell::free);
+      count_towards(-out, Cell::unknown);
+      if (thickness > 0) thicknesses.push_back(thickness);
+    }
+  });
+  errors.faces = static_cast<int64_t>(thicknesses.size());
+  if (!thicknesses.empty()) {
+    std::sort(thicknesses.begin(), thicknesses.end());
+    const auto count = static_cast<double>(thicknesses.size());
+    errors.thickness_mean = std::accumulate(thicknesses.begin(), thicknesses.end(), 0.0) / count;
+    errors.thickness_95 = thicknesses[static_cast<size_t>(std::ceil(0.95 * count)) - 1];
+  }
   if (distances.empty()) return errors;
   const Spread spread = spread_of(std::move(distances));
   errors.distance_mean = spread.mean;

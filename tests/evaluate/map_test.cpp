@@ -75,6 +75,32 @@ TEST(Map, DrawnCellsByHand) {
   EXPECT_EQ(e.occupied_outside, 3);  // columns 6, 7 and 8 of 9 are moved by three
 }
 
+// A face, the other side of its thin wall, a thick wall of which both faces are seen, and what is drawn twice.
+TEST(Map, ThicknessOfWallsIsCountedAcrossTheirFaces) {
+  const GridMap truth = drawn({"..........",  //
+                               "#?..#.#?#.",  //
+                               "#?..#.#?#.",  //
+                               "#?..#.#?#."});
+  // The first row's free cells are beside faces as well: 4 of them above, of whose walls the map has those below.
+  const auto thickness = [&](const std::vector<std::string>& rows) {
+    return evaluate_map(drawn(rows), truth, Pose::Identity(), {});
+  };
+  MapErrors e = evaluate_map(truth, truth, Pose::Identity(), {});
+  EXPECT_EQ(e.faces, 4 + 12);  // from above; x = 4 on both sides, x = 6 and 8 on one
+  EXPECT_EQ(e.thickness_mean, 1);
+  EXPECT_EQ(e.thickness_95, 1);
+  e = thickness({"..........",  //
+                 "#?.##.###.",  //
+                 "#?.##.###.",  //
+                 "#?.##.###."});
+  EXPECT_EQ(e.faces, 16);
+  // Twice: the left faces of x = 4, as well as those of 6 and 8, by what is in the wall between them.
+  EXPECT_NEAR(e.thickness_mean, (16 + 9) / 16.0, 1e-12);
+  EXPECT_EQ(e.thickness_95, 2);
+  // What stands before a face counts without the face.
+  EXPECT_EQ(thickness({"#.........", "??????????", "??????????", "??????????"}).faces, 1);
+}
+
 TEST(Map, FreeCellsThatNoCameraSawAreWrong) {
   const GridMap truth = drawn({"...#???", "...#???", "...#???"}), map = drawn({"...#...", "...#...", "...#..."});
   const MapErrors e = evaluate_map(map, truth, Pose::Identity(), {.tolerance = 1});
@@ -147,6 +173,11 @@ TEST(Map, HeaderOfTheMapFile) {
   EXPECT_EQ(header.yaw, 0.5);
   EXPECT_EQ(header.occupied_thresh, 0.7);
   EXPECT_FALSE(header.negate);
+  EXPECT_EQ(header.bottom, header.top);
+  const std::string map =
+      "image: a.pgm\nresolution: 1\norigin: [0, 0, 0]\n# what stands between z = -0.1 m and 1.9 m\n";
+  EXPECT_EQ(parse_ros_map(map, "map.yaml").bottom, -0.1);
+  EXPECT_EQ(parse_ros_map(map, "map.yaml").top, 1.9);
 }
 
 TEST(Map, PictureShowsFoundMissingAndFalse) {

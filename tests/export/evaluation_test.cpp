@@ -194,6 +194,13 @@ TEST_F(EvaluationTest, MapsOfRos) {
   EXPECT_EQ(json["occupied_recall"], 100);
   EXPECT_EQ(json["free_precision"], 100);
   EXPECT_TRUE(fs::exists(request.plots / "map_errors.svg"));
+  EXPECT_THAT(evaluate_files(request).text(), ::testing::Not(HasSubstr("warning")));
+  request.estimate =
+      file("map.yaml", "image: map.pgm\n" + header + "# what stands between z = 0.1 m and 1.9 m of it\n");
+  request.truth = file("plan.yaml", "# true map between z = 0.100 m and 1.900 m\nimage: plan.png\n" + header);
+  EXPECT_THAT(evaluate_files(request).text(), ::testing::Not(HasSubstr("warning")));
+  request.truth = file("plan.yaml", "# true map between z = 0.100 m and 2.300 m\nimage: plan.png\n" + header);
+  EXPECT_THAT(evaluate_files(request).text(), HasSubstr("the plan what does between"));
   request.truth = file("lost.yaml", "image: nothing.png\n" + header);
   EXPECT_THAT(problem(request), HasSubstr("nothing.png"));
 }

@@ -39,6 +39,8 @@ struct RosMapHeader {
   double origin_x = 0, origin_y = 0, yaw = 0;  // [m], [rad] lower-left corner of the lower-left cell
   double occupied_thresh = 0.65, free_thresh = 0.196;
   bool negate = false;
+  // [m] of the world: what lies between is drawn. From a comment "between z = A m and B m"; both 0 if there is none.
+  double bottom = 0, top = 0;
 };
 RosMapHeader parse_ros_map(const std::string& text, const std::filesystem::path& path);
 

@@ -57,6 +57,13 @@ struct MapErrors {
   // NaN if there is none.
   double distance_mean = std::numeric_limits<double>::quiet_NaN(), distance_median = distance_mean,
          distance_rms = distance_mean;
+  // Thickness of walls in the map [cells of the plan], over the faces of true surfaces (seen, textured, beside a free
+  // cell, in one of the four directions) at which the map has anything: occupied cells on the line across the face, at
+  // it, before it, and behind it inside the wall, up to kAcross away or to the next true surface. A wall that is drawn
+  // once is 1 to 2 cells thick, one that is drawn twice 2 and more. NaN if there is no such face.
+  static constexpr int kAcross = 6;
+  int64_t faces = 0;
+  double thickness_mean = std::numeric_limits<double>::quiet_NaN(), thickness_95 = thickness_mean;
 
   // [%]; NaN if there is nothing to judge.
   double occupied_precision() const;

@@ -369,7 +369,7 @@ struct Pixel {
 };
 
 Pixel seen(const Source& source, int index, const RayHit& hit) {
-  const cv::Vec3f colour = colour_at(source.prepared->view().image, hit.x, hit.y);
+  const cv::Vec3f colour = colour_at(source.prepared->image(), hit.x, hit.y);
   Pixel pixel;
   pixel.depth = hit.along;
   pixel.source = static_cast<int16_t>(index);
@@ -394,6 +394,7 @@ Pixel fuse_nearest(const std::vector<Source>& sources, const std::vector<RayHit>
 
 TileSource tile_source(const Source& source) {
   const StereoView& view = source.prepared->view();
+  const cv::Mat& image = source.prepared->image();
   const cv::Mat1f& disparity = source.prepared->disparity();
   const cv::Mat1b& origin = view.disparity.origin;
   TileSource tile{.rotation = {},
@@ -408,9 +409,9 @@ TileSource tile_source(const Source& source) {
                   .height = disparity.rows,
                   .disparity = disparity[0],
                   .disparity_stride = static_cast<ptrdiff_t>(disparity.step1()),
-                  .image = view.image.data,
-                  .image_stride = static_cast<ptrdiff_t>(view.image.step[0]),
-                  .channels = view.image.channels(),
+                  .image = image.data,
+                  .image_stride = static_cast<ptrdiff_t>(image.step[0]),
+                  .channels = image.channels(),
                   .origin = origin.empty() ? nullptr : origin.data,
                   .origin_stride = origin.empty() ? 0 : static_cast<ptrdiff_t>(origin.step[0])};
   for (int i = 0; i < 3; ++i) {
@@ -644,7 +645,7 @@ void trace(const NovelCamera& camera, const std::vector<Source>& sources, const 
         }
         walks[i].meet(rays, vectors, part, x_begin > 0, hits[i]);
       }
-      if (agreement) fuse_by_agreement(constants.data(), hits.data(), count, pixels);
+      if (agreement) fuse_by_agreement(constants.data(), hits.data(), count, options.blend_power, pixels);
       const int columns = std::min(kTile, width - x_begin), rows = y_end - y_begin;
       for (int y = 0; y < rows; ++y) {
         for (int x = 0; x < columns; ++x) {
@@ -707,8 +708,9 @@ NovelView interpolate(const NovelView& coarse, int width, int height, int step) 
   return view;
 }
 
-// Holes that are nowhere more than `widest` pixels across get the colours of their rims, as wholes: a hole that is
-// filled in part looks worse than one left dark. Depth and source go on saying that nothing is known.
+// Holes that are nowhere more than `widest` pixels across get the colours of the background beside them, as wholes: a
+// hole that is filled in part looks worse than one left dark. What is not seen lies behind the objects that hide it.
+// Depth and source go on saying that nothing is known.
 void fill_small_holes(NovelView& view, int widest) {
   if (widest <= 0) return;
   const int width = view.image.cols, height = view.image.rows;
@@ -732,16 +734,27 @@ void fill_small_holes(NovelView& view, int widest) {
     for (int y = y_begin; y < y_end; ++y) {
       for (int x = 0; x < width; ++x) {
         if (labels(y, x) == 0 || !small[static_cast<size_t>(labels(y, x))]) continue;
-        // The nearest known pixel in each of the four directions counts by the reciprocal of its distance. All lie
-        // inside the picture, since small holes do not touch its border.
-        cv::Vec3f sum(0, 0, 0);
-        float total = 0;
+        // The nearest known pixel in each of the four directions counts by the reciprocal of its distance, if it shows
+        // the background. All lie inside the picture, since small holes do not touch its border.
+        constexpr float kForeground = 0.9f;  // of the farthest depth: what is nearer belongs to another object
+        std::array<cv::Point, 4> rim;
+        std::array<float, 4> weights{};
+        float farthest = 0;
+        size_t known = 0;
         for (const auto& [dx, dy] : {std::pair{-1, 0}, {1, 0}, {0, -1}, {0, 1}}) {
           int n = 1;
           while (labels(y + n * dy, x + n * dx) != 0) ++n;
-          const float weight = 1 / static_cast<float>(n);
-          sum += weight * cv::Vec3f(view.image(y + n * dy, x + n * dx));
-          total += weight;
+          rim[known] = {x + n * dx, y + n * dy};
+          weights[known] = 1 / static_cast<float>(n);
+          farthest = std::max(farthest, view.depth(rim[known]));
+          ++known;
+        }
+        cv::Vec3f sum(0, 0, 0);
+        float total = 0;
+        for (size_t i = 0; i < known; ++i) {
+          if (view.depth(rim[i]) < kForeground * farthest) continue;
+          sum += weights[i] * cv::Vec3f(view.image(rim[i]));
+          total += weights[i];
         }
         for (int k = 0; k < 3; ++k) view.image(y, x)[k] = static_cast<uint8_t>(sum[k] / total + 0.5f);
       }

@@ -1,5 +1,5 @@
 #include <algorithm>
-#include <cstring>
+#include <opencv2/imgproc.hpp>
 
 #include "iris/core/error.h"
 #include "iris/render/dsnv.h"
@@ -14,6 +14,17 @@ DisparityOrigin accepted_origin(const std::string& name) {
   if (name == "within") return DisparityOrigin::within_segment;
   IRIS_CHECK(name == "everywhere");
   return DisparityOrigin::between_segments;
+}
+
+// Bilinear values at evenly spread positions have, per axis, the blur of a kernel of variance 1/6 px²; a kernel of
+// variance -1/6 px² takes it out again where details are larger than a pixel.
+cv::Mat sharpened(const cv::Mat& image, double times) {
+  if (times <= 0) return image;
+  const auto side = static_cast<float>(times / 12);
+  const cv::Mat1f kernel = (cv::Mat1f(1, 3) << -side, 1 + 2 * side, -side);
+  cv::Mat result;
+  cv::sepFilter2D(image, result, image.depth(), kernel, kernel, {-1, -1}, 0, cv::BORDER_REPLICATE);
+  return result;
 }
 
 }  // namespace
@@ -33,8 +44,28 @@ void DsnvOptions::declare(OptionSet& set) {
   set.add("use_origin", use_origin, {"measured", "within", "everywhere"},
           "Which disparities make surfaces: measured ones only, also those interpolated within segments, or all. "
           "Everything gives the fewest holes.");
-  set.add("fill_holes", fill_holes, "px", 0, 64,
-          "Holes of the picture up to this width are filled from their rims; 0 leaves all of them dark.");
+  set.add(
+      "fill_holes", fill_holes, "px", 0, 64,
+      "Holes of the picture up to this width are filled from the background beside them; 0 leaves all of them dark.");
+  set.add("sharpen", sharpen, "times", 0, 3,
+          "Colours are looked up between the pixels of the views, which blurs them a little on average; 1 undoes just "
+          "that, 0 nothing.");
+  set.add(
+      "blend_power", blend_power, "", 1, 8,
+      "Views that agree on a surface are blended with this power of their weights: 1 mixes all of them (least noise), "
+      "more lets the nearest view dominate (sharper where poses are not exact), with soft seams all the same.");
+  set.add(
+      "neighbours", neighbours, "", 0, 16,
+      "Views that each stored view is compared with before pictures are made, for the three options below; 0 leaves "
+      "the views as they are.");
+  set.add("free_space", free_space,
+          "Surfaces of a view that lie where its neighbours see through are replaced by what most views support, holes "
+          "get the neighbours' surfaces, and agreeing disparities are averaged.");
+  set.add("align_views", align_views,
+          "Poses of the views are corrected by fractions of a pixel, until neighbouring pictures fit together.");
+  set.add("even_brightness", even_brightness,
+          "Takes out what automatic exposure and the lens (vignetting) make of the brightness: no spots in pictures "
+          "that are put together from several views.");
 }
 
 PreparedSource::PreparedSource(std::shared_ptr<const StereoView> view, const DsnvOptions& options)
@@ -43,6 +74,7 @@ PreparedSource::PreparedSource(std::shared_ptr<const StereoView> view, const Dsn
   IRIS_CHECK(!all.empty() && all.size() == view_->image.size() && all.total() >= 4);
   IRIS_CHECK(view_->camera.width == all.cols && view_->camera.height == all.rows);
   IRIS_CHECK(view_->image.type() == CV_8UC1 || view_->image.type() == CV_8UC3);
+  image_ = sharpened(view_->image, options.sharpen);
   const DisparityOrigin up_to = accepted_origin(options.use_origin);
   if (up_to == DisparityOrigin::between_segments || view_->disparity.origin.empty()) {
     disparity_ = all.isContinuous() ? all : cv::Mat1f(all.clone());

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "iris/core/error.h"
+#include "iris/core/parallel.h"
 
 namespace iris::render {
 namespace {
@@ -68,45 +70,79 @@ bool contains(const Frustum& body, const Vector3d& point) {
 }
 
 // The points by which the usefulness of views is judged: rays over the novel picture, each at some depths.
-struct Probe {
-  Vector3d point;  // [m] world
-  Vector3d sight;  // unit direction of sight from the novel camera
-  double range;    // [m] from the novel camera
+struct Probes {
+  static constexpr int kColumns = 12, kRows = 9, kDepths = 4;
+  static constexpr size_t kCount = kColumns * kRows * kDepths;
+  std::array<float, kCount> x, y, z;                    // [m] relative to the novel camera
+  std::array<float, kCount> sight_x, sight_y, sight_z;  // unit direction of sight from the novel camera
+  std::array<float, kCount> range;                      // [m] from the novel camera
 };
 
-std::vector<Probe> probes(const NovelCamera& camera, double nearest, double farthest) {
-  constexpr int kColumns = 12, kRows = 9, kDepths = 4;
-  std::vector<Probe> all;
-  for (int row = 0; row < kRows; ++row) {
-    for (int column = 0; column < kColumns; ++column) {
+Probes probes(const NovelCamera& camera, double nearest, double farthest) {
+  Probes all;
+  size_t i = 0;
+  for (int row = 0; row < Probes::kRows; ++row) {
+    for (int column = 0; column < Probes::kColumns; ++column) {
       const Vector3d sight =
-          camera.world_from_cam.linear() *
-          pixel_ray(camera, (column + 0.5) / kColumns * camera.width - 0.5, (row + 0.5) / kRows * camera.height - 0.5)
-              .normalized();
-      for (int k = 0; k < kDepths; ++k) {
-        const double range = nearest * std::pow(farthest / nearest, (k + 0.5) / kDepths);
-        all.push_back({camera.world_from_cam.translation() + range * sight, sight, range});
+          camera.world_from_cam.linear() * pixel_ray(camera, (column + 0.5) / Probes::kColumns * camera.width - 0.5,
+                                                     (row + 0.5) / Probes::kRows * camera.height - 0.5)
+                                               .normalized();
+      for (int k = 0; k < Probes::kDepths; ++k, ++i) {
+        const double range = nearest * std::pow(farthest / nearest, (k + 0.5) / Probes::kDepths);
+        const Eigen::Vector3f s = sight.cast<float>(), p = (range * sight).cast<float>();
+        all.x[i] = p.x(), all.y[i] = p.y(), all.z[i] = p.z();
+        all.sight_x[i] = s.x(), all.sight_y[i] = s.y(), all.sight_z[i] = s.z();
+        all.range[i] = static_cast<float>(range);
       }
     }
   }
   return all;
 }
 
-// How well a view shows a point, in [0, 1]: 0 = not in its image or outside its depth range; less when seen from
+using Visibilities = std::array<float, Probes::kCount>;
+
+// How well a view shows each point, in [0, 1]: 0 = not in its image or outside its depth range; less when seen from
 // another direction, and less when seen from farther away than the novel camera does (coarser pixels, less precise
-// disparity).
-double visibility(const Pose& cam_from_world, const views::ViewSummary& view, const Range& range, const Probe& probe) {
-  const Vector3d in_cam = cam_from_world * probe.point;
-  if (in_cam.z() < 0.7 * range.nearest || in_cam.z() > 1.5 * range.farthest) return 0;
-  const Vector3d pixel = view.camera.project(in_cam);
-  if (pixel.x() < 0 || pixel.y() < 0 || pixel.x() > view.camera.width - 1 || pixel.y() > view.camera.height - 1)
-    return 0;
-  const double distance = in_cam.norm();
-  const double cosine = (probe.point - view.world_from_cam.translation()).dot(probe.sight) / distance;
-  if (cosine <= 0) return 0;
-  const double sharpness = std::min(1.0, probe.range / distance);
-  return cosine * cosine * sharpness;
+// disparity). No branches: thousands of views are judged for a picture.
+void judge(const NovelCamera& camera, const views::ViewSummary& view, const Range& range, const Probes& probes,
+           Visibilities& values) {
+  const Pose cam_from_world = view.world_from_cam.inverse();
+  const Eigen::Matrix3f r = cam_from_world.linear().cast<float>();
+  const Eigen::Vector3f t = (cam_from_world * camera.world_from_cam.translation()).cast<float>();
+  const Eigen::Vector3f to_view =
+      (view.world_from_cam.translation() - camera.world_from_cam.translation()).cast<float>();
+  const auto nearest = static_cast<float>(0.7 * range.nearest), farthest = static_cast<float>(1.5 * range.farthest);
+  const auto f = static_cast<float>(view.camera.f), cx = static_cast<float>(view.camera.cx),
+             cy = static_cast<float>(view.camera.cy);
+  const auto right = static_cast<float>(view.camera.width - 1) - cx,
+             bottom = static_cast<float>(view.camera.height - 1) - cy;
+  for (size_t i = 0; i < Probes::kCount; ++i) {
+    const float px = probes.x[i], py = probes.y[i], pz = probes.z[i];
+    const float x = f * (r(0, 0) * px + r(0, 1) * py + r(0, 2) * pz + t.x());
+    const float y = f * (r(1, 0) * px + r(1, 1) * py + r(1, 2) * pz + t.y());
+    const float z = r(2, 0) * px + r(2, 1) * py + r(2, 2) * pz + t.z();
+    const float dx = px - to_view.x(), dy = py - to_view.y(), dz = pz - to_view.z();
+    const float square = dx * dx + dy * dy + dz * dz;
+    const float along = dx * probes.sight_x[i] + dy * probes.sight_y[i] + dz * probes.sight_z[i];
+    const bool seen = (z >= nearest) & (z <= farthest) & (x >= -cx * z) & (y >= -cy * z) & (x <= right * z) &
+                      (y <= bottom * z) & (along > 0);
+    const float cosine2 = along * along / square;
+    const float sharpness2 = std::min(1.0f, probes.range[i] * probes.range[i] / square);
+    values[i] = seen ? cosine2 * cosine2 * sharpness2 : 0.0f;
+  }
+  for (float& value : values) value = std::sqrt(value);
 }
+
+// Axis-parallel bounds of a body.
+struct Box {
+  explicit Box(const Frustum& body) {
+    for (const Vector3d& corner : body.corners) low = low.cwiseMin(corner), high = high.cwiseMax(corner);
+  }
+  bool meets(const Box& other) const {
+    return (low.array() <= other.high.array()).all() && (other.low.array() <= high.array()).all();
+  }
+  Vector3d low = Vector3d::Constant(1e30), high = Vector3d::Constant(-1e30);
+};
 
 }  // namespace
 
@@ -160,50 +196,72 @@ std::vector<int> select_sources(const NovelCamera& camera, const std::vector<vie
                                 const DsnvOptions& options) {
   std::vector<int> candidates;
   double log_nearest = 0, log_farthest = 0;
-  for (size_t i = 0; i < views.size(); ++i) {
-    const views::ViewSummary& view = views[i];
-    if (view.max_disparity <= 0) continue;
-    if (camera.projection == Projection::pinhole) {
-      const double disparity_one = view.camera.f * view.camera.baseline;  // [m] the distance of disparity 1
-      if (!overlap(source_frustum(view), novel_frustum(camera, disparity_one))) continue;
+  std::vector<uint8_t> qualifies(views.size(), 0);
+  constexpr int kGrain = 64;
+  parallel_chunks(0, static_cast<int>(views.size()), kGrain, [&](int begin, int end) {
+    double reach = 0;  // of the novel camera [m]
+    Frustum novel;
+    for (int i = begin; i < end; ++i) {
+      const views::ViewSummary& view = views[static_cast<size_t>(i)];
+      if (view.max_disparity <= 0) continue;
+      if (camera.projection == Projection::pinhole) {
+        const double disparity_one = view.camera.f * view.camera.baseline;  // [m] the distance of disparity 1
+        if (disparity_one != reach) reach = disparity_one, novel = novel_frustum(camera, reach);
+        const Frustum source = source_frustum(view);
+        if (!Box(source).meets(Box(novel)) || !overlap(source, novel)) continue;
+      }
+      qualifies[static_cast<size_t>(i)] = 1;
     }
+  });
+  for (size_t i = 0; i < views.size(); ++i) {
+    if (!qualifies[i]) continue;
     candidates.push_back(static_cast<int>(i));
-    const Range range = range_of(view);
+    const Range range = range_of(views[i]);
     log_nearest += std::log(range.nearest);
     log_farthest += std::log(range.farthest);
   }
   if (candidates.empty()) return {};
   const double count = static_cast<double>(candidates.size());
   const double nearest = std::exp(log_nearest / count), farthest = std::exp(log_farthest / count);
-  const std::vector<Probe> all = probes(camera, nearest, std::max(farthest, 1.001 * nearest));
+  const Probes all = probes(camera, nearest, std::max(farthest, 1.001 * nearest));
 
-  std::vector<std::vector<float>> seen;  // [candidate][probe]
-  for (const int index : candidates) {
-    const views::ViewSummary& view = views[static_cast<size_t>(index)];
-    const Pose cam_from_world = view.world_from_cam.inverse();
-    const Range range = range_of(view);
-    std::vector<float>& values = seen.emplace_back();
-    for (const Probe& probe : all) values.push_back(static_cast<float>(visibility(cam_from_world, view, range, probe)));
-  }
+  std::vector<Visibilities> seen(candidates.size());
+  parallel_chunks(0, static_cast<int>(candidates.size()), kGrain, [&](int begin, int end) {
+    for (int c = begin; c < end; ++c) {
+      const auto k = static_cast<size_t>(c);
+      const views::ViewSummary& view = views[static_cast<size_t>(candidates[k])];
+      judge(camera, view, range_of(view), all, seen[k]);
+    }
+  });
   // The gain of a further view at a point shrinks with what is chosen already: 1, 1/2, 1/3, … of its visibility. So
   // coverage comes first, then agreement of several views.
-  std::vector<float> covered(all.size(), 0.0f);
-  std::vector<bool> taken(candidates.size(), false);
+  Visibilities share;  // 1 / (1 + number of chosen views that see it)
+  share.fill(1);
+  Visibilities covered{};
+  std::vector<float> gains(candidates.size());
   std::vector<int> chosen;
   while (static_cast<int>(chosen.size()) < options.max_sources) {
-    int best = -1;
-    double best_gain = 1e-6;
-    for (size_t c = 0; c < candidates.size(); ++c) {
-      if (taken[c]) continue;
-      double gain = 0;
-      for (size_t p = 0; p < all.size(); ++p) gain += seen[c][p] / (1 + covered[p]);
-      if (gain > best_gain) best_gain = gain, best = static_cast<int>(c);
-    }
-    if (best < 0) break;
-    const size_t winner = static_cast<size_t>(best);
-    taken[winner] = true;
+    parallel_chunks(0, static_cast<int>(candidates.size()), kGrain, [&](int begin, int end) {
+      for (int c = begin; c < end; ++c) {
+        const Visibilities& values = seen[static_cast<size_t>(c)];
+        constexpr size_t kLanes = 8;  // partial sums, which do not wait for each other
+        static_assert(Probes::kCount % kLanes == 0);
+        std::array<float, kLanes> sums{};
+        for (size_t p = 0; p < Probes::kCount; p += kLanes) {
+          for (size_t k = 0; k < kLanes; ++k) sums[k] += values[p + k] * share[p + k];
+        }
+        gains[static_cast<size_t>(c)] = std::accumulate(sums.begin(), sums.end(), 0.0f);
+      }
+    });
+    const auto best = std::max_element(gains.begin(), gains.end()) - gains.begin();
+    const auto winner = static_cast<size_t>(best);
+    if (gains[winner] <= 1e-6f) break;
     chosen.push_back(candidates[winner]);
-    for (size_t p = 0; p < all.size(); ++p) covered[p] += seen[winner][p] > 0 ? 1.0f : 0.0f;
+    for (size_t p = 0; p < Probes::kCount; ++p) {
+      covered[p] += seen[winner][p] > 0 ? 1.0f : 0.0f;
+      share[p] = 1 / (1 + covered[p]);
+    }
+    seen[winner].fill(0);  // taken
   }
   return chosen;
 }

@@ -59,5 +59,12 @@ bool count_instructions(const std::string& work);
 void print_quality();
 // Prints how good maps are, IRIS's and OctoMap's.
 void print_map_quality();
+// Prints how good novel views are.
+struct ViewQualityOptions {
+  std::string only;       // part of a case's name; empty = all
+  std::string apartment;  // folder of a simulated recording with its truth; empty = without it
+  std::string pictures;   // folder for some of the pictures beside the truth; empty = none
+};
+void print_view_quality(const ViewQualityOptions& options);
 
 }  // namespace iris::bench

@@ -101,22 +101,51 @@ const Sequence* street() {
   return sequence.get();
 }
 
+namespace {
+
+std::shared_ptr<const StereoView> view_of(const Sequence& sequence, size_t i) {
+  stereo::MwmfOptions options;
+  options.disparities = 128;
+  const StereoPair& pair = sequence.pairs[i];
+  return std::make_shared<StereoView>(StereoView{.frame_idx = static_cast<int>(i),
+                                                 .camera = sequence.camera,
+                                                 .image = pair.left,
+                                                 .disparity = mwmf(pair.left, pair.right, options),
+                                                 .world_from_cam = sequence.world_from_cam[i]});
+}
+
+}  // namespace
+
 const std::vector<std::shared_ptr<const StereoView>>& hand_held_views() {
   static const std::vector<std::shared_ptr<const StereoView>> views = [] {
     std::vector<std::shared_ptr<const StereoView>> list;
-    stereo::MwmfOptions options;
-    options.disparities = 128;
-    for (size_t i = 0; i < hand_held().pairs.size(); ++i) {
-      const StereoPair& pair = hand_held().pairs[i];
-      list.push_back(std::make_shared<StereoView>(StereoView{.frame_idx = static_cast<int>(i),
-                                                             .camera = hand_held().camera,
-                                                             .image = pair.left,
-                                                             .disparity = mwmf(pair.left, pair.right, options),
-                                                             .world_from_cam = hand_held().world_from_cam[i]}));
-    }
+    for (size_t i = 0; i < hand_held().pairs.size(); ++i) list.push_back(view_of(hand_held(), i));
     return list;
   }();
   return views;
+}
+
+const PictureSources& picture_sources() {
+  static const PictureSources sources = [] {
+    const fs::path folder = kData / "euroc_mh01";
+    const bool recorded = fs::exists(folder);
+    const Sequence sequence =
+        recorded ? recorded_sequence(folder, "EuRoC", {40, 33, 34, 39, 41, 26, 80, 113, 114})
+                 : render_sequence({.f = 436, .cx = 366, .cy = 252, .baseline = 0.11, .width = 752, .height = 480}, 9);
+    PictureSources result{.name = recorded ? "EuRoC" : "room", .camera = {}, .near = {}, .far = {}};
+    constexpr int kWidth = 640, kHeight = 480;
+    result.camera = {.width = kWidth,
+                     .height = kHeight,
+                     .f = sequence.camera.f,
+                     .cx = sequence.camera.cx - 0.5 * (sequence.camera.width - kWidth),
+                     .cy = sequence.camera.cy - 0.5 * (sequence.camera.height - kHeight),
+                     .world_from_cam = sequence.world_from_cam[0]};
+    for (size_t i = 1; i < sequence.pairs.size(); ++i) {
+      (i <= 4 ? result.near : result.far).push_back(view_of(sequence, i));
+    }
+    return result;
+  }();
+  return sources;
 }
 
 StereoCalibration distorted_rig() {

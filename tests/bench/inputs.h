@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "iris/geometry/stereo_calibration.h"
+#include "iris/types/novel_view.h"
 #include "iris/types/stereo_frame.h"
 #include "iris/types/stereo_view.h"
 
@@ -31,6 +32,15 @@ Sequence render_sequence(const RectifiedCamera& camera, int frames);
 
 // The views of hand_held() with the disparities that mwmf measures over 128 px.
 const std::vector<std::shared_ptr<const StereoView>>& hand_held_views();
+
+// Views for pictures of 640x480, and where these are taken: EuRoC MH_01, frame 40; the four nearest frames (1 to 3 cm
+// away) and four that are 0.22 m away or more. The room if that recording is not there.
+struct PictureSources {
+  std::string name;
+  NovelCamera camera;
+  std::vector<std::shared_ptr<const StereoView>> near, far;
+};
+const PictureSources& picture_sources();
 
 // The rig of EuRoC, 752x480, with its lens distortion.
 StereoCalibration distorted_rig();

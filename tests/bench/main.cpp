@@ -2,7 +2,8 @@
 // Markdown. --processor-time: of one thread, instead of elapsed time; for a machine that others use as well.
 // iris_bench --quality: errors of the disparities instead of times.
 // iris_bench --maps: errors of maps, beside OctoMap's.
-// iris_bench --count=WORK: does WORK once, for a tool that counts instructions.
+// iris_bench [--apartment=FOLDER] [--case=PART OF NAME] [--pictures=FOLDER] --views: how good novel views are; FOLDER
+// is what `iris simulate apartment` made. iris_bench --count=WORK: does WORK once, for a tool that counts instructions.
 #include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <hwy/highway.h>
@@ -193,6 +194,7 @@ int main(int argc, char** argv) {
   iris::keep_freed_memory();  // as the program does; the peers gain as well
   spdlog::set_level(spdlog::level::err);
   bool quick = false;
+  iris::bench::ViewQualityOptions view_quality;
   std::vector<std::string> arguments = {argv[0], "--benchmark_enable_random_interleaving=true"};
   for (int i = 1; i < argc; ++i) {
     const std::string argument = argv[i];
@@ -207,6 +209,22 @@ int main(int argc, char** argv) {
     }
     if (argument == "--maps") {
       iris::bench::print_map_quality();
+      return 0;
+    }
+    if (argument.starts_with("--apartment=")) {
+      view_quality.apartment = argument.substr(12);
+      continue;
+    }
+    if (argument.starts_with("--case=")) {
+      view_quality.only = argument.substr(7);
+      continue;
+    }
+    if (argument.starts_with("--pictures=")) {
+      view_quality.pictures = argument.substr(11);
+      continue;
+    }
+    if (argument == "--views") {
+      iris::bench::print_view_quality(view_quality);
       return 0;
     }
     if (argument == "--quick") {

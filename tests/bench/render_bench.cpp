@@ -2,7 +2,7 @@
 
 #include "bench/bench.h"
 #include "bench/inputs.h"
-#include "iris/render/dsnv.h"
+#include "iris/render/source_selection.h"
 
 namespace iris::bench {
 namespace {
@@ -32,6 +32,40 @@ std::vector<std::shared_ptr<const PreparedSource>> prepared(const DsnvOptions& o
   for (const size_t i : {0, 2, 3, 4})
     sources.push_back(std::make_shared<PreparedSource>(hand_held_views()[i], options));
   return sources;
+}
+
+using Views = std::vector<std::shared_ptr<const StereoView>>;
+
+Contender picture(const std::string& who, const Views& (*views)(), int threads, const std::string& fusion) {
+  return {who, [=](State& state) {
+            DsnvOptions options;
+            options.fusion = fusion;
+            std::vector<std::shared_ptr<const PreparedSource>> sources;
+            for (const auto& view : views()) sources.push_back(std::make_shared<PreparedSource>(view, options));
+            NovelView picture;
+            measure(state, threads, [&] { picture = render_novel_view(picture_sources().camera, sources, options); });
+            state.counters["% seen"] =
+                100.0 * cv::countNonZero(picture.depth) / static_cast<double>(picture.depth.total());
+            set_rate(state, "pictures/s", 1);
+          }};
+}
+
+const Views& near() { return picture_sources().near; }
+const Views& far() { return picture_sources().far; }
+
+// Views of a building of five floors: on each, rows of places with eight directions.
+std::vector<views::ViewSummary> many_views(int count) {
+  std::vector<views::ViewSummary> summaries;
+  const StereoView& view = *hand_held_views()[0];
+  views::ViewSummary summary = views::summarise(view);
+  for (int i = 0; i < count; ++i) {
+    const int place = i / 8, floor = place % 5, row = place / 5;
+    summary.frame_idx = i;
+    summary.world_from_cam = Eigen::AngleAxisd(i % 8 * M_PI / 4, Eigen::Vector3d::UnitZ()) * view.world_from_cam;
+    summary.world_from_cam.translation() = Eigen::Vector3d(4.0 * (row % 12), 4.0 * (row / 12), 3.0 * floor);
+    summaries.push_back(summary);
+  }
+  return summaries;
 }
 
 double seen(const cv::Mat1f& depth) {
@@ -103,6 +137,22 @@ void register_render() {
   compare("render", "novel view, step 2 (tours)", input, {ours("IRIS", 2, 1), {"forward splatting", splatting}});
   compare("render", "novel view, step 2, two threads", input, {ours("IRIS", 2, 2), ours("IRIS, one thread", 2, 1)},
           Uses::several);
+  const std::string of = picture_sources().name + " 640x480";
+  const auto row = [&](const char* work, const Views& (*views)()) {
+    compare("render", work, of,
+            {picture("IRIS", views, 2, "agreement"), picture("IRIS, one thread", views, 1, "agreement"),
+             picture("smallest distance (7.10)", views, 2, "nearest")},
+            Uses::several);
+  };
+  row("novel view, 4 sources 1 to 3 cm away, two threads", near);
+  row("novel view, 4 sources 0.22 m away, two threads", far);
+  compare("render", "choose 4 sources of 5000", "building of five floors",
+          {{"IRIS", [](State& state) {
+              const auto views = many_views(5000);
+              NovelCamera camera = novel_camera();
+              camera.world_from_cam.translation() = Eigen::Vector3d(21, 17, 3);
+              measure(state, 1, [&] { DoNotOptimize(render::select_sources(camera, views, {})); });
+            }}});
   compare("render", "prepare a source", hand_held().name, {{"IRIS", [](State& state) {
                                                               const auto view = hand_held_views()[0];
                                                               measure(state, 1,

@@ -213,7 +213,7 @@ TEST(NovelView, WithoutMotionTheSourceComesBack) {
   const StereoView view = room().view(camera, pose_at({0.3, -0.2, 0.1}, {0.1, 0.2, -0.05}));
   for (const char* fusion : {"agreement", "nearest"}) {
     const NovelView shown =
-        render_novel_view(novel_of(camera, view.world_from_cam), {shared(view)}, {.fusion = fusion});
+        render_novel_view(novel_of(camera, view.world_from_cam), {shared(view)}, {.fusion = fusion, .sharpen = 0});
     EXPECT_EQ(coverage(shown), 1);
     int different = 0;
     double largest = 0;
@@ -412,6 +412,74 @@ TEST(NovelView, EquirectangularPanoramaMatchesTheTruth) {
   }
   std::nth_element(errors.begin(), errors.begin() + static_cast<ptrdiff_t>(errors.size() / 2), errors.end());
   EXPECT_LT(errors[errors.size() / 2], 2e-3);
+}
+
+TEST(NovelView, PanoramasAreRightAtThePolesAndWhereTheirEndsMeet) {
+  // Six views to all sides, so that nothing is missing.
+  RectifiedCamera camera = scene_camera();
+  camera.f = 110;
+  std::vector<std::shared_ptr<const StereoView>> sources;
+  for (int i = 0; i < 4; ++i) {
+    sources.push_back(shared(room().view(camera, pose_at({0, 0, 0.5}, {0, i * M_PI / 2 + 1e-9, 0}))));
+  }
+  for (const double turn : {M_PI / 2, -M_PI / 2}) {
+    sources.push_back(shared(room().view(camera, pose_at({0, 0, 0.5}, {turn, 0, 0}))));
+  }
+  const NovelCamera novel{.projection = Projection::equirectangular,
+                          .width = 400,
+                          .height = 200,
+                          .world_from_cam = pose_at({0.1, 0.05, 0.4}, {0, 1.2, 0})};
+  const NovelView shown = render_novel_view(novel, sources, {.max_sources = 6});
+  const NovelView truth = room().truth(novel, [](double x, double y) {
+    const double longitude = (x + 0.5 - 200) * M_PI / 200, latitude = (y + 0.5 - 100) * M_PI / 200;
+    return Vector3d(std::sin(longitude) * std::cos(latitude), std::sin(latitude),
+                    std::cos(longitude) * std::cos(latitude));
+  });
+  EXPECT_GT(coverage(shown), 0.88);  // the room is open at its back
+  const auto check = [&](const char* part, const cv::Rect& area, double least) {
+    const NovelView of_shown{.image = shown.image(area), .depth = shown.depth(area), .source = shown.source(area)};
+    const NovelView of_truth{.image = truth.image(area), .depth = truth.depth(area), .source = truth.source(area)};
+    EXPECT_GT(coverage(of_shown), 0.95) << part;
+    EXPECT_GT(psnr(of_shown, of_truth), least) << part;
+    std::vector<double> errors;
+    for (int y = 0; y < area.height; ++y) {
+      for (int x = 0; x < area.width; ++x) {
+        if (of_shown.source(y, x) >= 0) errors.push_back(std::abs(of_shown.depth(y, x) / of_truth.depth(y, x) - 1));
+      }
+    }
+    std::nth_element(errors.begin(), errors.begin() + static_cast<ptrdiff_t>(errors.size() * 9 / 10), errors.end());
+    EXPECT_LT(errors[errors.size() * 9 / 10], 5e-3) << part;
+  };
+  check("upper pole", {0, 0, 400, 12}, 24);
+  check("lower pole", {0, 188, 400, 12}, 24);
+  check("left end", {0, 60, 12, 80}, 22);
+  check("right end", {388, 60, 12, 80}, 22);
+}
+
+TEST(NovelView, HolesBetweenObjectAndBackgroundGetTheBackground) {
+  // A near board of 30 px before a far wall of 10 px, grey values 200 and 50, with a gap of 4 px between them.
+  const RectifiedCamera camera = scene_camera();
+  StereoView view = plane_view(camera, 10, 0, 0);
+  view.image.setTo(50);
+  view.image.colRange(100, 160).setTo(200);
+  view.disparity.disparity.colRange(100, 160) = 30.0f;
+  view.disparity.disparity(cv::Rect(160, 80, 4, 60)) = 0.0f;
+  const NovelView shown = render_novel_view(novel_of(camera, Pose::Identity()), {shared(view)}, {.sharpen = 0});
+  for (int x = 160; x < 164; ++x) {
+    EXPECT_EQ(shown.image(110, x), cv::Vec3b(50, 50, 50)) << x;
+    EXPECT_EQ(shown.source(110, x), -1);
+  }
+}
+
+TEST(NovelView, SharpeningUndoesTheBlurOfLookingUpBetweenPixels) {
+  // Half a pixel aside, where bilinear values blur most; the room's texture repeats down to a few pixels.
+  const RectifiedCamera camera = scene_camera();
+  const auto view = shared(room().view(camera, Pose::Identity()));
+  const NovelCamera novel = novel_of(camera, pose_at({0, 0, 0}, {0.5 / camera.f, 0.5 / camera.f, 0}));
+  const NovelView truth = room().truth(novel, kPinholeRay(novel));
+  const double blurred = psnr(render_novel_view(novel, {view}, {.sharpen = 0}), truth);
+  const double sharp = psnr(render_novel_view(novel, {view}, {.sharpen = 1}), truth);
+  EXPECT_GT(sharp, blurred + 0.3);
 }
 
 TEST(NovelView, SmallHolesAreFilledButStayMarked) {

@@ -10,15 +10,12 @@
 
 #include "export/map_drawing.h"
 #include "export/report_file.h"
+#include "export/tour_files.h"
 #include "export/trajectory_file.h"
-#include "export/video_file.h"
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 #include "iris/mapping/flog.h"
 #include "iris/pipeline/frames.h"
-#include "iris/tour/frames.h"
-#include "iris/tour/path_file.h"
-#include "iris/workspace/view_files.h"
 
 namespace iris::exporters {
 namespace fs = std::filesystem;
@@ -30,9 +27,8 @@ using workspace::Poses;
 using workspace::Workspace;
 using Files = std::vector<std::string>;
 
-// Views kept in memory while they are read one after the other, and while a tour goes back and forth between them.
+// Views kept in memory while they are read one after the other.
 constexpr size_t kStreamCache = 0;
-constexpr size_t kTourCache = size_t{256} << 20;
 
 std::unique_ptr<views::ViewStore> main_views(const Workspace& workspace, size_t cache_bytes) {
   return workspace.views(Poses::refined, pipeline::summarise_frames(workspace, Poses::refined).largest_submap,
@@ -145,54 +141,6 @@ mapping::FlogOptions map_options(const Workspace& workspace, const RunOptions& o
   throw Bug(fmt::format("sub-map {} has no world", submap));
 }
 
-int write_tour(const Workspace& workspace, const RunOptions& options, const std::string& camera_path_file,
-               const fs::path& video, const fs::path& frames_folder, const RunControl& control) {
-  const auto views = main_views(workspace, kTourCache);
-  IRIS_CHECK(!views->summaries().empty());
-  const int submap = views->summaries().front().submap;
-  std::vector<PoseNode> nodes;
-  for (PoseNode& node : workspace.pose_graph(Poses::refined).nodes) {
-    if (node.submap == submap) nodes.push_back(node);
-  }
-  tour::TourOptions tour_options = options.library.tour;
-  CameraPath path;
-  if (camera_path_file.empty()) {
-    // Where nothing was measured (a recording of bare walls), the distance at which a stereo camera sees well.
-    constexpr double kUsualDepth = 20;  // [baselines]
-    const double depth = tour::scene_depth(*views, submap);
-    path =
-        tour::along(nodes, tour_options, depth > 0 ? depth : kUsualDepth * views->summaries().front().camera.baseline);
-  } else {
-    const tour::CameraPathFile file = tour::read_camera_path_file(camera_path_file);
-    if (file.projection != Projection::pinhole) {
-      throw InputError(camera_path_file, "asks for equirectangular pictures, tours are made with perspective ones",
-                       "set \"camera_type\" to perspective");
-    }
-    path = file.path;
-    if (file.width > 0 && file.height > 0) {
-      // H.264 in its common form has even sides.
-      tour_options.width = file.width & ~1;
-      tour_options.height = file.height & ~1;
-    }
-    if (file.fps > 0) tour_options.fps = file.fps;
-  }
-
-  VideoWriter writer(video, tour_options.width, tour_options.height, tour_options.fps);
-  const int frames = tour::frame_count(path, tour_options);
-  Progress progress(control.progress, "tour", frames);
-  tour::render_tour(
-      path, nodes, *views, tour_options, options.library.render, [&](int frame_idx, int, const NovelView& view) {
-        if (control.stopped()) throw Interrupted();
-        writer.add(view.image);
-        if (!frames_folder.empty()) {
-          write_file(frames_folder / fmt::format("{:06}.png", frame_idx), workspace::encode_png(view.image));
-        }
-        progress.update(frame_idx + 1);
-      });
-  writer.close();
-  return frames;
-}
-
 std::vector<Stage> product_stages(const RunOptions& options, const OptionSet& set) {
   return {
       Stage{.name = "trajectory",
@@ -232,9 +180,7 @@ std::vector<Stage> product_stages(const RunOptions& options, const OptionSet& se
             .inputs = {},
             .run =
                 [&options](Workspace& w, const RunControl& control, const std::string&) {
-                  std::error_code ignored;
-                  fs::remove_all(w.folder() / "tour", ignored);
-                  write_tour(w, options, "", w.folder() / "tour/tour.mp4", w.folder() / "tour/frames", control);
+                  write_run_tour(w, options, control);
                   return files_in(w.folder(), "tour");
                 }},
       Stage{.name = "report",

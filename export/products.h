@@ -9,6 +9,7 @@
 #include "export/sheet_file.h"
 #include "iris/pipeline/options.h"
 #include "iris/pipeline/pipeline.h"
+#include "iris/tour/panorama.h"
 
 namespace iris::exporters {
 
@@ -19,6 +20,7 @@ struct RunOptions {
   OctreeOptions octree;
   SceneOptions scene;
   SheetOptions sheet;
+  tour::PanoramaOptions panorama;
 
   void declare(OptionSet& set) {
     library.declare(set);
@@ -26,6 +28,7 @@ struct RunOptions {
     octree.declare(set);
     scene.declare(set);
     sheet.declare(set);
+    panorama.declare(set);
   }
 };
 
@@ -37,11 +40,5 @@ std::vector<pipeline::Stage> product_stages(const RunOptions& options, const Opt
 // The layers of a sub-map's map: where no floor was found, it is taken to lie a usual camera height below the first
 // camera.
 mapping::FlogOptions map_options(const workspace::Workspace& workspace, const RunOptions& options, int submap);
-
-// Renders a tour into `video`; PNG frames too if `frames_folder` is not empty. Returns the number of frames.
-// `camera_path_file` is a camera path in JSON; empty = along the recorded path.
-int write_tour(const workspace::Workspace& workspace, const RunOptions& options, const std::string& camera_path_file,
-               const std::filesystem::path& video, const std::filesystem::path& frames_folder,
-               const pipeline::RunControl& control);
 
 }  // namespace iris::exporters

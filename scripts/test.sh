@@ -17,7 +17,7 @@ if command -v npm >/dev/null && ! cmp -s $tools/package-lock.json $tools/node_mo
   if npm --prefix $tools ci --omit=dev --no-audit --no-fund; then
     cp $tools/package-lock.json $tools/node_modules/.iris-lock
   else
-    echo "test: gltf-validator could not be installed; its test will be skipped" >&2
+    echo "test: gltf-validator and Pannellum could not be installed; their tests will be skipped" >&2
   fi
 fi
 

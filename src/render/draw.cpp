@@ -5,6 +5,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "iris/render/dsnv.h"
+
 namespace iris::render {
 namespace {
 
@@ -85,7 +87,114 @@ void draw_equirectangular(NovelView& view, const NovelCamera& camera, const Vect
   }
 }
 
+// A rectangle of pixels, all bounds included; empty if x1 < x0.
+struct PixelBox {
+  int x0 = 0, y0 = 0, x1 = -1, y1 = -1;
+};
+
+// The pixels that may see a triangle given in the camera's frame.
+PixelBox box_of(const NovelCamera& camera, const std::array<Vector3d, 3>& corners) {
+  if (camera.projection == Projection::pinhole) {
+    constexpr double kNearest = 1e-3;  // [m] what is nearer is cut away
+    double x0 = camera.width, x1 = -1, y0 = camera.height, y1 = -1;
+    const auto take = [&](const Vector3d& p) {
+      const double x = camera.f * p.x() / p.z() + camera.cx, y = camera.f * p.y() / p.z() + camera.cy;
+      x0 = std::min(x0, x), x1 = std::max(x1, x), y0 = std::min(y0, y), y1 = std::max(y1, y);
+    };
+    for (size_t i = 0; i < 3; ++i) {
+      const Vector3d &a = corners[i], &b = corners[(i + 1) % 3];
+      if (a.z() >= kNearest) take(a);
+      if ((a.z() < kNearest) != (b.z() < kNearest)) take(a + (b - a) * ((kNearest - a.z()) / (b.z() - a.z())));
+    }
+    x0 = std::max(std::ceil(x0), 0.0), x1 = std::min(std::floor(x1), camera.width - 1.0);
+    y0 = std::max(std::ceil(y0), 0.0), y1 = std::min(std::floor(y1), camera.height - 1.0);
+    if (x0 > x1 || y0 > y1) return {};
+    return {static_cast<int>(x0), static_cast<int>(y0), static_cast<int>(x1), static_cast<int>(y1)};
+  }
+  // A cone about the triangle, then the longitudes and latitudes that it covers.
+  const PixelBox all{0, 0, camera.width - 1, camera.height - 1};
+  Vector3d axis = Vector3d::Zero();
+  for (const Vector3d& corner : corners) axis += corner.normalized();
+  if (axis.norm() < 0.5) return all;
+  axis.normalize();
+  double angle = 0;
+  for (const Vector3d& corner : corners) {
+    angle = std::max(angle, std::acos(std::clamp(axis.dot(corner.normalized()), -1.0, 1.0)));
+  }
+  if (angle > 1.4) return all;
+  const double latitude = std::asin(std::clamp(axis.y(), -1.0, 1.0));
+  const auto row = [&](double l) { return (l / std::numbers::pi + 0.5) * camera.height - 0.5; };
+  PixelBox box = all;
+  box.y0 = std::max(0, static_cast<int>(std::floor(row(latitude - angle))));
+  box.y1 = std::min(camera.height - 1, static_cast<int>(std::ceil(row(latitude + angle))));
+  if (std::abs(latitude) + angle >= std::numbers::pi / 2) return box;  // a pole: all longitudes
+  const double half = std::asin(std::min(1.0, std::sin(angle) / std::cos(latitude)));
+  const double longitude = std::atan2(axis.x(), axis.z());
+  if (longitude - half < -std::numbers::pi || longitude + half > std::numbers::pi) return box;  // the seam
+  const auto column = [&](double l) { return (l / (2 * std::numbers::pi) + 0.5) * camera.width - 0.5; };
+  box.x0 = std::max(0, static_cast<int>(std::floor(column(longitude - half))));
+  box.x1 = std::min(camera.width - 1, static_cast<int>(std::ceil(column(longitude + half))));
+  return box;
+}
+
+cv::Vec3b texel(const cv::Mat3b& texture, double u, double v) {
+  const auto at = [](double part, int size) {
+    return std::min(static_cast<int>((part - std::floor(part)) * size), size - 1);
+  };
+  return texture(at(v, texture.rows), at(u, texture.cols));
+}
+
 }  // namespace
+
+void draw_meshes(NovelView& view, const NovelCamera& camera, const std::vector<TriangleMesh>& meshes,
+                 const Pose& world_from_mesh) {
+  constexpr double kAmbient = 0.4;  // brightness of a surface that is seen edge-on
+  constexpr double kEdge = 1e-9;    // neighbours share their edge: no gap between them
+  const Pose cam_from_mesh = camera.world_from_cam.inverse() * world_from_mesh;
+  cv::Mat1f nearest(view.image.size(), 0.0f);  // [m] of what is drawn; the view's depth stays that of the scene
+  for (const TriangleMesh& mesh : meshes) {
+    const bool textured = !mesh.texture.empty() && mesh.texture_coordinates.size() == mesh.vertices.size();
+    std::vector<Vector3d> vertices;
+    vertices.reserve(mesh.vertices.size());
+    for (const Eigen::Vector3f& vertex : mesh.vertices) vertices.push_back(cam_from_mesh * vertex.cast<double>());
+    for (const Eigen::Vector3i& triangle : mesh.triangles) {
+      const std::array<Vector3d, 3> corners = {vertices[static_cast<size_t>(triangle[0])],
+                                               vertices[static_cast<size_t>(triangle[1])],
+                                               vertices[static_cast<size_t>(triangle[2])]};
+      const PixelBox box = box_of(camera, corners);
+      if (box.x1 < box.x0) continue;
+      const Vector3d e1 = corners[1] - corners[0], e2 = corners[2] - corners[0];
+      const Vector3d normal = e1.cross(e2);
+      const double offset = normal.dot(corners[0]);
+      if (normal.norm() == 0) continue;
+      for (int y = box.y0; y <= box.y1; ++y) {
+        for (int x = box.x0; x <= box.x1; ++x) {
+          const Vector3d ray = pixel_ray(camera, x, y);
+          const double slope = normal.dot(ray);
+          if (slope == 0) continue;
+          const double depth = offset / slope;
+          if (depth <= 0) continue;
+          const float scene = view.depth(y, x), before = nearest(y, x);
+          if ((scene > 0 && scene < depth) || (before > 0 && before <= depth)) continue;
+          const Vector3d on = depth * ray - corners[0];
+          const double area = normal.squaredNorm();
+          const double b = on.cross(e2).dot(normal) / area, c = e1.cross(on).dot(normal) / area;
+          if (b < -kEdge || c < -kEdge || b + c > 1 + kEdge) continue;
+          nearest(y, x) = static_cast<float>(depth);
+          cv::Vec3b colour = mesh.colour;
+          if (textured) {
+            const auto uv = [&](int i) { return mesh.texture_coordinates[static_cast<size_t>(triangle[i])]; };
+            const Eigen::Vector2d at =
+                ((1 - b - c) * uv(0).cast<double>() + b * uv(1).cast<double>() + c * uv(2).cast<double>());
+            colour = texel(mesh.texture, at.x(), at.y());
+          }
+          const double light = kAmbient + (1 - kAmbient) * std::abs(slope) / (std::sqrt(area) * ray.norm());
+          for (int k = 0; k < 3; ++k) view.image(y, x)[k] = static_cast<uint8_t>(light * colour[k] + 0.5);
+        }
+      }
+    }
+  }
+}
 
 void draw_line(NovelView& view, const NovelCamera& camera, const Vector3d& from, const Vector3d& to,
                const cv::Vec3b& colour, double width) {

@@ -3,11 +3,13 @@
 #include <algorithm>
 #include <cmath>
 #include <condition_variable>
+#include <cstdio>
 #include <deque>
 #include <exception>
 #include <limits>
 #include <list>
 #include <mutex>
+#include <numeric>
 #include <thread>
 
 #include "iris/core/error.h"
@@ -110,41 +112,48 @@ class SourceCache {
 
 }  // namespace
 
-double scene_depth(const views::ViewStore& store, int submap) {
-  constexpr size_t kViews = 16;
-  constexpr int kStep = 8;  // [px] every 8th pixel of every 8th row
-  std::vector<int> views;
-  for (size_t i = 0; i < store.summaries().size(); ++i) {
-    const views::ViewSummary& view = store.summaries()[i];
-    if (view.submap == submap && view.max_disparity > 0) views.push_back(static_cast<int>(i));
-  }
-  std::vector<double> depths;
-  const size_t count = std::min(views.size(), kViews);
-  for (size_t k = 0; k < count; ++k) {
-    const auto view = store.load(views[k * views.size() / count]);
-    const cv::Mat1f& disparity = view->disparity.disparity;
-    for (int y = kStep / 2; y < disparity.rows; y += kStep) {
-      for (int x = kStep / 2; x < disparity.cols; x += kStep) {
-        const double d = disparity(y, x) + view->camera.disparity_offset;
-        if (disparity(y, x) > 0 && d > 0) depths.push_back(view->camera.f * view->camera.baseline / d);
-      }
-    }
-  }
-  if (depths.empty()) return 0;
-  const auto middle = depths.begin() + static_cast<ptrdiff_t>(depths.size() / 2);
-  std::nth_element(depths.begin(), middle, depths.end());
-  return *middle;
-}
-
 int frame_count(const CameraPath& path, const TourOptions& options) {
   return path.keyframes.empty() ? 0 : static_cast<int>(std::floor(duration(path) * options.fps + 1e-6)) + 1;
 }
 
+TourFrame tour_frame(const CameraPath& path, const std::vector<PoseNode>& nodes, const TourOptions& options,
+                     int frame_idx) {
+  IRIS_CHECK(!nodes.empty() && !path.keyframes.empty());
+  const double length = duration(path);
+  const double since = std::min(frame_idx / options.fps, length);
+  const double recorded_ns = static_cast<double>(nodes.back().stamp_ns - nodes.front().stamp_ns);
+  const double part = length > 0 ? since / length : 0;
+  TourFrame frame{.frame_idx = frame_idx,
+                  .seconds = since,
+                  .camera = novel_camera(sample(path, eased_time(path, since)), options),
+                  .stamp_ns = nodes.front().stamp_ns + std::llround(part * recorded_ns)};
+  frame.world_from_recording = recorded_pose(nodes, frame.stamp_ns);
+  return frame;
+}
+
+Pose recording_from_robot(const TourOptions& options) {
+  Eigen::Vector3d camera_in_robot;
+  int used = 0;
+  const std::string& text = options.robot_camera;
+  if (std::sscanf(text.c_str(), "%lf,%lf,%lf%n", &camera_in_robot.x(), &camera_in_robot.y(), &camera_in_robot.z(),
+                  &used) != 3 ||
+      used != static_cast<int>(text.size()) || !camera_in_robot.allFinite()) {
+    throw UsageError("tour.robot_camera = " + text + ": three numbers x,y,z are wanted [m]");
+  }
+  return z_up_from_camera().inverse() * Eigen::Translation3d(-camera_in_robot);
+}
+
 void render_tour(const CameraPath& path, const std::vector<PoseNode>& nodes, const views::ViewStore& store,
                  const TourOptions& options, const render::DsnvOptions& dsnv,
-                 const std::function<void(int frame_idx, int frames, const NovelView& view)>& sink) {
+                 const std::function<void(int frame_idx, int frames, const NovelView& view)>& sink,
+                 const TourExtras& extras) {
   IRIS_CHECK(!nodes.empty() && !path.keyframes.empty());
   const int frames = frame_count(path, options);
+  std::vector<int> wanted = extras.frames;
+  if (wanted.empty()) {
+    wanted.resize(static_cast<size_t>(frames));
+    std::iota(wanted.begin(), wanted.end(), 0);
+  }
   const int submap = nodes.front().submap;
   std::vector<views::ViewSummary> summaries;
   std::vector<int> indices;  // of the store
@@ -155,28 +164,35 @@ void render_tour(const CameraPath& path, const std::vector<PoseNode>& nodes, con
   }
   std::vector<Eigen::Vector3d> recorded_path;
   for (const PoseNode& node : nodes) recorded_path.push_back(node.world_from_cam.translation());
-  const double begin = path.keyframes.front().t, length = duration(path);
-  const double recorded_ns = static_cast<double>(nodes.back().stamp_ns - nodes.front().stamp_ns);
+  const Pose recording_from_model = recording_from_robot(options);
 
   SourceCache cache(store, dsnv, 3 * static_cast<size_t>(dsnv.max_sources));
   SinkThread output(4, [&](int frame_idx, const NovelView& view) { sink(frame_idx, frames, view); });
-  for (int frame = 0; frame < frames; ++frame) {
-    const double since = std::min(frame / options.fps, length);
-    const NovelCamera camera = novel_camera(sample(path, begin + since), options);
+  for (const int frame_idx : wanted) {
+    const TourFrame frame = tour_frame(path, nodes, options, frame_idx);
     std::vector<std::shared_ptr<const render::PreparedSource>> sources;
-    for (const int index : render::select_sources(camera, summaries, dsnv)) {
-      sources.push_back(cache.get(indices[static_cast<size_t>(index)]));
+    if (extras.moment) {
+      if (auto view = extras.moment(frame.stamp_ns)) {
+        sources.push_back(std::make_shared<render::PreparedSource>(std::move(view), dsnv));
+      }
+    } else {
+      for (const int index : render::select_sources(frame.camera, summaries, dsnv)) {
+        sources.push_back(cache.get(indices[static_cast<size_t>(index)]));
+      }
     }
-    NovelView view = render::render_novel_view(camera, sources, dsnv);
+    NovelView view = render::render_novel_view(frame.camera, sources, dsnv);
 
-    const double part = length > 0 ? since / length : 0;
-    const Pose recording = recorded_pose(nodes, nodes.front().stamp_ns + std::llround(part * recorded_ns));
-    if (options.draw_path) render::draw_path(view, camera, recorded_path, kPathColour, 2);
+    if (options.draw_path) render::draw_path(view, frame.camera, recorded_path, kPathColour, 2);
     if (options.draw_camera && !summaries.empty()) {
-      const double distance = (recording.translation() - camera.world_from_cam.translation()).norm();
-      render::draw_camera_pyramid(view, camera, summaries.front().camera, recording, kCameraColour, 0.12 * distance);
+      const double distance =
+          (frame.world_from_recording.translation() - frame.camera.world_from_cam.translation()).norm();
+      render::draw_camera_pyramid(view, frame.camera, summaries.front().camera, frame.world_from_recording,
+                                  kCameraColour, 0.12 * distance);
     }
-    output.put(frame, std::move(view));
+    if (!extras.robot.empty()) {
+      render::draw_meshes(view, frame.camera, extras.robot, frame.world_from_recording * recording_from_model);
+    }
+    output.put(frame_idx, std::move(view));
   }
   output.finish();
 }

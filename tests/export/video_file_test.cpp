@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <fstream>
 #include <opencv2/imgproc.hpp>
 #include <opencv2/videoio.hpp>
@@ -51,6 +52,52 @@ TEST_F(VideoFile, ComesBackFrameByFrame) {
   EXPECT_EQ(std::distance(fs::directory_iterator(path.parent_path()), {}), 1);
 }
 
+// The index stands before the pictures, and its offsets lead to them: the file was read back above.
+TEST_F(VideoFile, BeginsToPlayWhileItLoads) {
+  const fs::path path = folder_ / "tour.mp4";
+  VideoWriter writer(path, 160, 96, 10);
+  for (int i = 0; i < 9; ++i) writer.add(frame(i));
+  writer.close();
+  std::ifstream file(path, std::ios::binary);
+  const std::string bytes(std::istreambuf_iterator<char>(file), {});
+  std::vector<std::string> boxes;
+  for (size_t at = 0; at + 8 <= bytes.size();) {
+    const auto byte = [&](size_t i) { return static_cast<uint32_t>(static_cast<unsigned char>(bytes[at + i])); };
+    const uint32_t size = byte(0) << 24 | byte(1) << 16 | byte(2) << 8 | byte(3);
+    boxes.push_back(bytes.substr(at + 4, 4));
+    ASSERT_GE(size, 8u);
+    at += size;
+  }
+  const auto moov = std::find(boxes.begin(), boxes.end(), "moov"), mdat = std::find(boxes.begin(), boxes.end(), "mdat");
+  ASSERT_NE(moov, boxes.end());
+  ASSERT_NE(mdat, boxes.end());
+  EXPECT_LT(moov - boxes.begin(), mdat - boxes.begin());
+  EXPECT_EQ(boxes.front(), "ftyp");
+  EXPECT_EQ(files(), 1u);
+  // Nothing is left to do for a file that is in order, or is none.
+  EXPECT_FALSE(write_fast_start(path, folder_ / "again.mp4"));
+  std::ofstream(folder_ / "text.mp4") << "no video at all";
+  EXPECT_FALSE(write_fast_start(folder_ / "text.mp4", folder_ / "again.mp4"));
+  EXPECT_FALSE(fs::exists(folder_ / "again.mp4"));
+}
+
+TEST_F(VideoFile, WebmIsVp9) {
+  const fs::path path = folder_ / "tour.webm";
+  VideoWriter writer(path, 160, 96, 10);
+  constexpr int kFrames = 17;
+  for (int i = 0; i < kFrames; ++i) writer.add(frame(i));
+  writer.close();
+  cv::VideoCapture video(path.string(), cv::CAP_FFMPEG);
+  ASSERT_TRUE(video.isOpened());
+  std::ifstream file(path, std::ios::binary);
+  const std::string bytes(std::istreambuf_iterator<char>(file), {});
+  EXPECT_NE(bytes.find("V_VP9"), std::string::npos);  // Matroska's name of the codec
+  int frames = 0;
+  for (cv::Mat image; video.read(image); ++frames) EXPECT_NEAR(cv::mean(image)[0], 20 + 8 * frames, 8);
+  EXPECT_EQ(frames, kFrames);
+  EXPECT_EQ(files(), 1u);
+}
+
 TEST_F(VideoFile, IsH264InYuv420) {
   const fs::path path = folder_ / "tour.mp4";
   VideoWriter writer(path, 160, 96, 10);
@@ -88,6 +135,7 @@ TEST_F(VideoFile, WithoutCloseNothingIsLeft) {
 
 TEST_F(VideoFile, BadTargetsAreNamed) {
   EXPECT_THROW(VideoWriter(folder_ / "tour.mp4", 161, 96, 10), UsageError);
+  EXPECT_THROW(VideoWriter(folder_ / "tour.avi", 160, 96, 10), UsageError);
   std::ofstream(folder_ / "file") << "x";
   try {
     VideoWriter writer(folder_ / "file" / "tour.mp4", 160, 96, 10);

@@ -5,6 +5,7 @@
 #include <cstring>
 
 #include "iris/core/parallel.h"
+#include "iris/tour/scene.h"
 #include "support/ray_scene.h"
 
 namespace iris::tour {

@@ -5,6 +5,7 @@
 
 #include "iris/geometry/rectified_camera.h"
 #include "iris/types/novel_view.h"
+#include "iris/types/triangle_mesh.h"
 
 namespace iris::render {
 
@@ -20,5 +21,10 @@ void draw_path(NovelView& view, const NovelCamera& camera, const std::vector<Eig
 // A recording camera as a pyramid: apex in the optical centre, base = the image's rectangle at depth `size` [m].
 void draw_camera_pyramid(NovelView& view, const NovelCamera& camera, const RectifiedCamera& recording,
                          const Pose& world_from_cam, const cv::Vec3b& colour, double size);
+
+// A model, such as the robot's: opaque, lit from the viewer's side, hidden by the scene and by itself. Each pixel's ray
+// is cut with the triangles, so that pinhole and equirectangular pictures are exact; both sides of a triangle are seen.
+void draw_meshes(NovelView& view, const NovelCamera& camera, const std::vector<TriangleMesh>& meshes,
+                 const Pose& world_from_mesh);
 
 }  // namespace iris::render

@@ -33,7 +33,10 @@ struct CameraKeyframe {
   double fov = 0;  // [rad] vertical
 };
 struct CameraPath {
+  enum class Interpolation { linear, spline };  // between keyframes: straight, or as a smooth curve through them
   std::vector<CameraKeyframe> keyframes;
+  Interpolation interpolation = Interpolation::linear;
+  double ease = 0;  // [s] in which the camera gathers speed at the beginning, and loses it at the end
 };
 
 }  // namespace iris

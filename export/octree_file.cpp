@@ -153,7 +153,7 @@ void OctreeOptions::declare(OptionSet& set) {
 }
 
 OctreeSummary write_octree(const std::filesystem::path& folder, const views::ViewStore& views,
-                           const OctreeOptions& options) {
+                           const OctreeOptions& options, const pipeline::RunControl& control) {
   const auto& summaries = views.summaries();
   const int count = static_cast<int>(summaries.size());
   for (const views::ViewSummary& view : summaries) IRIS_CHECK(view.submap == summaries.front().submap);
@@ -181,29 +181,37 @@ OctreeSummary write_octree(const std::filesystem::path& folder, const views::Vie
       }
     }
   }
+  int64_t loads = 0, loaded = 0;
+  for (const auto& [region, of_region] : regions) loads += static_cast<int64_t>(of_region.size());
+  Progress progress(control.progress, "octree", loads);
   for (const auto& [region, of_region] : regions) {
     const auto& [region_y, region_x] = region;
     Tiles tiles;
     for (const int v : of_region) {
+      if (control.stopped()) throw Interrupted();
       const auto view = views.load(v);
-      const SightRays rays = mapping::sight_rays(*view, {.min_disparity = options.min_disparity,
-                                                         .pixel_error = options.pixel_error,
-                                                         .min_error = options.resolution,
-                                                         .max_range = options.max_range,
-                                                         .step = options.ray_step});
+      const mapping::RayOptions ray_options{.min_disparity = options.min_disparity,
+                                            .pixel_error = options.pixel_error,
+                                            .min_error = options.resolution,
+                                            .max_range = options.max_range,
+                                            .step = options.ray_step};
       // Nt = 3 NK as for the map.
       const double cube_px = view->camera.f * options.resolution / options.ray_step;
       const auto max_rays = static_cast<uint32_t>(std::max(3.0, std::round(3 * cube_px * cube_px)));
-      mapping::fuse_view(rays, grid, {.max_rays = max_rays, .bundle = kBundle},
+      mapping::fuse_view(*view, ray_options, grid, {.max_rays = max_rays, .bundle = kBundle},
                          [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
                            const bool here = (index.x() - first_x) / kRegionTiles == region_x &&
                                              (index.y() - first_y) / kRegionTiles == region_y;
                            if (!here) return {};
                            return tiles[{index.z(), index.y(), index.x()}].cells;
                          });
-      add_colours(rays, options.resolution, view->image, tiles);
+      add_colours(mapping::sight_rays(*view, ray_options), options.resolution, view->image, tiles);
+      progress.update(++loaded);
     }
-    for (const auto& [index, tile] : tiles) store_tile(index, tile, options, tree, summary);
+    for (const auto& [index, tile] : tiles) {
+      if (control.stopped()) throw Interrupted();
+      store_tile(index, tile, options, tree, summary);
+    }
   }
   if (tree.size() > 0) tree.updateInnerOccupancy();  // ColorOcTree follows its root unchecked
   tree.prune();

@@ -4,6 +4,7 @@
 #include <filesystem>
 
 #include "iris/core/options.h"
+#include "iris/pipeline/pipeline.h"
 #include "iris/views/view_store.h"
 
 namespace iris::exporters {
@@ -40,7 +41,8 @@ struct OctreeSummary {
 //
 // Memory: the finished octree, in which empty space is pruned, and the cubes of one region of 768 x 768 cubes at a time
 // (8 bytes each, where a ray came). Views near the border of regions are read for each of them.
+// Throws Interrupted if `control` asks to stop; nothing is written then.
 OctreeSummary write_octree(const std::filesystem::path& folder, const views::ViewStore& views,
-                           const OctreeOptions& options);
+                           const OctreeOptions& options, const pipeline::RunControl& control = {});
 
 }  // namespace iris::exporters

@@ -81,8 +81,12 @@ SheetFacts facts_of(const Workspace& workspace, const mapping::MapRaster& raster
   facts.date = fmt::format("{:%Y-%m-%dT%H:%M:%SZ}", fmt::gmtime(dated ? seconds : 0));
   std::string closing = "no loop was closed";
   if (const auto error = closing_error(workspace.pose_graph(Poses::odometry), graph, submap)) {
-    closing = fmt::format("{:.3f} \u00b1 {:.3f} m, {:.2f} % of {:.1f} m as chained, {} loop{}", error->error,
-                          error->sigma, 100 * error->error / std::max(error->way, 1e-9), error->way, error->loops,
+    // Enough digits for both.
+    const bool small = error->error + error->sigma < 0.1;
+    const double scale = small ? 1000 : 1;
+    closing = fmt::format("{:.{}f} \u00b1 {:.{}f} {}, {:.2g} % of {:.1f} m as chained, {} loop{}", scale * error->error,
+                          small ? 1 : 3, scale * error->sigma, small ? 1 : 3, small ? "mm" : "m",
+                          100 * error->error / std::max(error->way, 1e-9), error->way, error->loops,
                           error->loops == 1 ? "" : "s");
   }
   facts.lines = {
@@ -159,8 +163,8 @@ std::vector<Stage> product_stages(const RunOptions& options, const OptionSet& se
             .after = {"loop"},
             .inputs = {},
             .run =
-                [&options](Workspace& w, const RunControl&, const std::string&) {
-                  write_octree(w.folder() / "octree", *main_views(w, kStreamCache), options.octree);
+                [&options](Workspace& w, const RunControl& control, const std::string&) {
+                  write_octree(w.folder() / "octree", *main_views(w, kStreamCache), options.octree, control);
                   return files_in(w.folder(), "octree");
                 }},
       Stage{.name = "scene",

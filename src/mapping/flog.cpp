@@ -66,6 +66,9 @@ void FlogOptions::declare(OptionSet& set) {
   set.add("seen_only", seen_only,
           "cells that no view can have seen past the obstacles of the finished map are unknown in map.pgm: free space "
           "and obstacles behind walls");
+  set.add("min_views", min_views, "views", 1, 255,
+          "what rays of fewer views say is believed only where they pass no obstacle closely, as wrong matches do that "
+          "look through a wall; with seen_only");
 }
 
 int full_rays(const FlogOptions& options, const RectifiedCamera& camera) {
@@ -98,18 +101,18 @@ bool FlogBuilder::add(const StereoView& view) {
   const auto viewpoint = static_cast<uint32_t>(map_.viewpoints.size());
   map_.viewpoints.push_back(view.world_from_cam);
 
-  const SightRays rays = sight_rays(view, {.min_disparity = options_.min_disparity,
-                                           .pixel_error = options_.pixel_error,
-                                           .min_error = options_.min_spread * options_.cell,
-                                           .max_range = options_.max_range,
-                                           .step = options_.ray_step});
+  const RayOptions rays{.min_disparity = options_.min_disparity,
+                        .pixel_error = options_.pixel_error,
+                        .min_error = options_.min_spread * options_.cell,
+                        .max_range = options_.max_range,
+                        .step = options_.ray_step};
   const TiledGrid grid{.origin = {0, 0, options_.bottom},
                        .box = {options_.cell, options_.cell, map_.slice_height()},
                        .tile_boxes = {FlogMap::kTileCells, FlogMap::kTileCells, map_.all_slices()},
                        .single_layer_of_tiles = true};
   // Nt = 3 NK: what was seen long ago gives way to what is seen now.
   const FusionOptions fusion{.max_rays = 3 * static_cast<uint32_t>(map_.full_rays), .bundle = options_.bundle};
-  fuse_view(rays, grid, fusion, [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
+  fuse_view(view, rays, grid, fusion, [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
     grow_table(map_, index.x(), index.y(), index.x(), index.y());
     std::unique_ptr<FlogMap::Tile>& tile =
         map_.tiles[static_cast<size_t>(index.y() - map_.tile_y0) * map_.tiles_x + (index.x() - map_.tile_x0)];
@@ -171,7 +174,7 @@ MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
   raster.cell = map.cell_size;
   raster.layer_bounds = map.layer_bounds;
   TileStates states = states_of(map, options);
-  if (options.seen_only) forget_unseen(map, states);
+  if (options.seen_only) forget_unseen(map, options.min_views, states);
   // Visits the cells that any ray crossed: cell, its state, column, row (of growing y), layer.
   const auto for_each_cell = [&](const auto& visit) {
     for (size_t t = 0; t < map.tiles.size(); ++t) {

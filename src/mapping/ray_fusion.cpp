@@ -1,339 +1,182 @@
 #include "iris/mapping/ray_fusion.h"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
 #include <bit>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <memory>
+#include <mutex>
 
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "ray_kernels.h"
 
 namespace iris::mapping {
 namespace {
 
-// Distances along a ray in fixed point, 2^-32 m.
-constexpr double kOneMetre = 4294967296.0;
-int64_t fixed(double metres) { return static_cast<int64_t>(metres * kOneMetre); }
-
-// [boxes/m] slower than this no ray moves along an axis, so that all distances fit: a deviation of 2e-6 boxes in 20 m.
-constexpr double kSlowest = 1e-7;
-
-// All bits or none.
-int64_t mask(bool condition) { return -static_cast<int64_t>(condition); }
-
-// What the rays of a part of a view say about the boxes of a tile.
-struct TileSums {
-  struct Surface {
-    uint32_t lack = 0;      // sum of 1 - muE
-    uint32_t occupied = 0;  // sum of muO
-  };
-  Eigen::Vector3i index;
-  std::vector<uint32_t> rays;
-  std::vector<std::vector<Surface>> surface;  // of the boxes of one z, empty where no surface is near
-};
-constexpr size_t kMostRays = 65535;  // so many memberships of 1 fit into 32 bits
-
-// (6.2) for all rays of the sums, which are of one tile.
-void apply(const std::vector<const TileSums*>& parts, uint32_t max_rays, std::span<FlogCell> tile) {
-  const size_t planes = parts.front()->surface.size(), plane = tile.size() / planes;
-  for (size_t i = 0; i < tile.size(); ++i) {
-    uint32_t rays = 0;
-    for (const TileSums* part : parts) rays += part->rays[i];
-    if (rays == 0) continue;
-    uint64_t lack = 0, occupied = 0;
-    for (const TileSums* part : parts) {
-      const std::vector<TileSums::Surface>& surface = part->surface[i / plane];
-      if (surface.empty()) continue;
-      lack += surface[i % plane].lack;
-      occupied += surface[i % plane].occupied;
-    }
-    FlogCell& cell = tile[i];
-    const double before = cell.rays, added = rays, weight = 1 / (before + added);
-    const double empty = before * cell.empty + (added * FlogCell::kOne - static_cast<double>(lack));
-    cell.empty = static_cast<uint16_t>(empty * weight + 0.5);
-    cell.occupied = static_cast<uint16_t>((before * cell.occupied + static_cast<double>(occupied)) * weight + 0.5);
-    cell.rays = std::min(cell.rays + rays, max_rays);
-  }
-}
-
-// A part of a ray, or of several that are followed together.
-struct Way {
-  Eigen::Vector3d direction;
-  double from = 0, end = 0;      // [m]
-  double length = 0, error = 1;  // [m]
-  uint32_t rays = 1;
-};
-
-// Follows rays through the tiles of a grid and adds up what they say.
+// Adds up what rays say about the boxes of a region of tiles.
 class Walker {
  public:
   // `low`, `high`: tiles that the rays can reach, inclusive.
   Walker(const TiledGrid& grid, const Eigen::Vector3d& origin, const Eigen::Vector3i& low, const Eigen::Vector3i& high)
-      : n_(grid.tile_boxes),
-        low_(low),
-        tiles_(high - low + Eigen::Vector3i::Ones()),
-        boxes_(tiles_.cwiseProduct(n_)),
-        box_(grid.box),
-        inverse_box_(grid.box.cwiseInverse()),
-        shift_x_(std::countr_zero(static_cast<unsigned>(n_.x()))),
-        shift_y_(std::countr_zero(static_cast<unsigned>(n_.y()))),
-        shift_z_(grid.single_layer_of_tiles ? 31 : std::countr_zero(static_cast<unsigned>(n_.z()))),
-        single_layer_(grid.single_layer_of_tiles),
-        start_((origin - grid.origin).cwiseQuotient(grid.box) - low.cwiseProduct(n_).cast<double>()),
-        sums_(static_cast<size_t>(tiles_.prod())) {
-    for (int a = 0; a < (single_layer_ ? 2 : 3); ++a) IRIS_CHECK(std::has_single_bit(static_cast<unsigned>(n_[a])));
+      : sums_(layout_of(grid, high - low + Eigen::Vector3i::Ones())) {
+    const Eigen::Vector3d start =
+        (origin - grid.origin).cwiseQuotient(grid.box) - low.cwiseProduct(grid.tile_boxes).cast<double>();
+    for (int a = 0; a < 3; ++a) {
+      grid_.box[a] = grid.box[a];
+      grid_.inverse_box[a] = 1 / grid.box[a];
+      grid_.start[a] = start[a];
+    }
+    grid_.clip_z = grid.single_layer_of_tiles;
   }
 
-  void walk(const Way& way);
-  std::vector<std::unique_ptr<TileSums>> take() { return std::move(sums_); }
+  void add_ray(const Eigen::Vector3f& direction, float from, float length, float error, float end) {
+    const size_t i = append(rays_, direction, from, end, 1);
+    rays_.length[i] = length;
+    rays_.error[i] = error;
+    if (rays_.count == Ways::kMost) walk_rays(grid_, rays_, sums_);
+  }
+  // So many rays along one direction, between two distances where it is empty.
+  void add_empty(const Eigen::Vector3f& direction, float from, float to, uint32_t rays) {
+    append(empty_, direction, from, to, rays);
+    if (empty_.count == Ways::kMost) walk_empty(grid_, empty_, sums_);
+  }
+  void finish() {
+    walk_rays(grid_, rays_, sums_);
+    walk_empty(grid_, empty_, sums_);
+  }
+  const BlockSums& sums() const { return sums_; }
 
  private:
-  TileSums& tile(const Eigen::Vector3i& index) {
-    std::unique_ptr<TileSums>& sums =
-        sums_[(static_cast<size_t>(index.z()) * tiles_.y() + index.y()) * static_cast<size_t>(tiles_.x()) + index.x()];
-    if (!sums) {
-      sums = std::make_unique<TileSums>();
-      sums->index = index + low_;
-      sums->rays.resize(static_cast<size_t>(n_.prod()));
-      sums->surface.resize(static_cast<size_t>(n_.z()));
+  static BoxLayout layout_of(const TiledGrid& grid, const Eigen::Vector3i& tiles) {
+    constexpr int kBlock[3] = {4, 4, 2};  // [powers of two] a few kB, so that little is held that no ray crosses
+    BoxLayout layout;
+    for (int a = 0; a < 3; ++a) {
+      const auto n = static_cast<unsigned>(grid.tile_boxes[a]);
+      layout.boxes[a] = tiles[a] * grid.tile_boxes[a];
+      if (a == 2 && grid.single_layer_of_tiles) continue;
+      IRIS_CHECK(std::has_single_bit(n));
+      layout.block_shift[a] = std::min(kBlock[a], std::countr_zero(n));
+      if (a < 2) {
+        const auto blocks = static_cast<unsigned>(layout.boxes[a] >> layout.block_shift[a]);
+        layout.blocks_shift[a] = std::countr_zero(std::bit_ceil(blocks));
+      }
     }
-    return *sums;
+    return layout;
   }
 
-  Eigen::Vector3i n_, low_, tiles_, boxes_;  // boxes of a tile; first tile; tiles; boxes of all tiles
-  Eigen::Vector3d box_, inverse_box_;
-  int shift_x_, shift_y_, shift_z_;  // boxes of a tile as powers of two
-  bool single_layer_;
-  Eigen::Vector3d start_;  // [boxes] optical centre, from the corner of the first tile
-  std::vector<std::unique_ptr<TileSums>> sums_;
+  static size_t append(Ways& ways, const Eigen::Vector3f& direction, float from, float end, uint32_t rays) {
+    const size_t i = ways.count++;
+    for (int a = 0; a < 3; ++a) ways.direction[a][i] = direction[a];
+    ways.from[i] = from;
+    ways.end[i] = end;
+    ways.rays[i] = rays;
+    return i;
+  }
+
+  WalkGrid grid_;
+  Ways rays_, empty_;
+  BlockSums sums_;
 };
 
-void Walker::walk(const Way& way) {
-  std::array<double, 3> velocity, inverse;  // boxes per metre, 2^-32 m per box
-  for (int a = 0; a < 3; ++a) {
-    const auto k = static_cast<size_t>(a);
-    const double v = way.direction[a] * inverse_box_[a];
-    velocity[k] = std::abs(v) < kSlowest ? std::copysign(kSlowest, v) : v;
-    inverse[k] = kOneMetre / velocity[k];
+// Makes the rays of a view, band by band.
+class BandMaker {
+ public:
+  BandMaker(const StereoView& view, const RayOptions& options)
+      : disparity_(view.disparity), step_(options.step), rotation_(view.world_from_cam.linear()), camera_(view.camera) {
+    IRIS_CHECK(options.step >= 1 && options.min_disparity > 0);
+    const double f_t = camera_.f * camera_.baseline;
+    row_.f_t = f_t;
+    row_.disparity_offset = camera_.disparity_offset;
+    row_.min_disparity = options.min_disparity;
+    row_.farthest_z = f_t / options.min_disparity;
+    row_.error_scale = 3 * options.pixel_error * std::sqrt(2.0) / f_t;  // (4.24)
+    row_.min_error = options.min_error;
+    row_.max_range = options.max_range;
   }
-  double from = way.from;
-  if (single_layer_) {  // nothing else ends before the rays do
-    constexpr double kMetre = 1 / kOneMetre;
-    const double t0 = -start_.z() * inverse[2] * kMetre, t1 = (boxes_.z() - start_.z()) * inverse[2] * kMetre;
-    from = std::max(from, std::min(t0, t1));
-    if (from >= std::min(way.end, std::max(t0, t1))) return;
-  }
-  // From here on integers: distance along the ray to the next plane of each axis and between two planes (Amanatides and
-  // Woo). Masks instead of branches: which plane comes next cannot be predicted.
-  std::array<int64_t, 3> next, delta;
-  std::array<int, 3> box, sign;
-  for (int a = 0; a < 3; ++a) {
-    const auto k = static_cast<size_t>(a);
-    const bool forward = velocity[k] > 0;
-    box[k] = std::clamp(static_cast<int>(start_[a] + velocity[k] * from), 0, boxes_[a] - 1);
-    next[k] = static_cast<int64_t>((static_cast<double>(box[k] + forward) - start_[a]) * inverse[k]);
-    delta[k] = static_cast<int64_t>(std::abs(inverse[k]));
-    sign[k] = forward ? 1 : -1;
-  }
-  auto [tx, ty, tz] = next;
-  const auto [dx, dy, dz] = delta;
-  const int64_t step_x = sign[0], step_y = static_cast<int64_t>(sign[1]) * n_.x(),
-                step_z = static_cast<int64_t>(sign[2]) * n_.x() * n_.y();
-  const Eigen::Vector3d along = way.direction.cwiseProduct(box_);  // [m] that the foot of the middle moves, box by box
-  const double to_middle = 0.5 * along.sum() - start_.dot(along);
-  const auto middle_of = [&](int x, int y, int z) {
-    return fixed(to_middle + x * along.x() + y * along.y() + z * along.z());
-  };
-  const int64_t move_x = fixed(std::abs(along.x())), move_y = fixed(std::abs(along.y())),
-                move_z = fixed(std::abs(along.z()));
-  const int64_t end = fixed(way.end), length = fixed(way.length);
-  // Where the ray is surely empty, muE = 1 and muO = 0 for any r.
-  const int64_t empty_end = std::min(end, fixed(way.length - way.error));
-  const float scale = static_cast<float>(1 / (kOneMetre * way.error));
-  const int shift_plane = shift_x_ + shift_y_, plane = 1 << shift_plane;
 
-  int64_t xy = std::min(tx, ty), out = std::min(xy, tz), t = fixed(from);
-  // The part before has counted the box in which this one begins if its foot lies there.
-  if (way.from > 0 && from == way.from && middle_of(box[0], box[1], box[2]) < t) t = out;
-  for (;;) {  // tiles
-    const Eigen::Vector3i index(box[0] >> shift_x_, box[1] >> shift_y_, box[2] >> shift_z_);
-    TileSums& sums = tile(index);
-    uint32_t* const rays = sums.rays.data();
-    const Eigen::Vector3i corner = index.cwiseProduct(n_);
-    const int x = box[0] - corner.x(), y = box[1] - corner.y(), z = box[2] - corner.z();
-    const int64_t leave =
-        std::min({tx + (sign[0] > 0 ? n_.x() - 1 - x : x) * dx, ty + (sign[1] > 0 ? n_.y() - 1 - y : y) * dy,
-                  tz + (sign[2] > 0 ? n_.z() - 1 - z : z) * dz});
-    int64_t at = (static_cast<int64_t>(z) * n_.y() + y) * n_.x() + x;
-    const int64_t empty_here = std::min(leave, empty_end);
-    while (out < empty_here) {
-      rays[at] += way.rays & static_cast<uint32_t>(mask(out > t));
-      t = out;
-      const int64_t is_z = mask(tz <= xy), is_x = mask(tx < ty) & ~is_z, is_y = ~(is_x | is_z);
-      at += (step_x & is_x) + (step_y & is_y) + (step_z & is_z);
-      tx += dx & is_x;
-      ty += dy & is_y;
-      tz += dz & is_z;
-      xy = std::min(tx, ty);
-      out = std::min(xy, tz);
-    }
-    const auto update_box = [&] {
-      const auto here = static_cast<int>(at);
-      box = {corner.x() + (here & (n_.x() - 1)), corner.y() + ((here & (plane - 1)) >> shift_x_),
-             corner.z() + (here >> shift_plane)};
-    };
-    update_box();
-    if (out < leave || out >= empty_end) {
-      // Distance along the ray to the foot of the box's middle; a step forward moves it by a constant.
-      int64_t middle = middle_of(box[0], box[1], box[2]);
-      for (;;) {
-        if (out > t) {
-          const int64_t r = std::min(std::max(middle, t), out);
-          if (r >= end) return;
-          rays[at] += way.rays;
-          // (6.1)
-          const float s = static_cast<float>(length - r) * scale;
-          if (s < 1) {
-            std::vector<TileSums::Surface>& surface = sums.surface[static_cast<size_t>(at >> shift_plane)];
-            if (surface.empty()) surface.resize(static_cast<size_t>(plane));
-            TileSums::Surface& sum = surface[static_cast<size_t>(at & (plane - 1))];
-            sum.lack += static_cast<uint32_t>(static_cast<int>((1 - std::max(s, 0.0f)) * FlogCell::kOne + 0.5f));
-            sum.occupied +=
-                static_cast<uint32_t>(static_cast<int>(std::max(0.0f, 1 - std::abs(s)) * FlogCell::kOne + 0.5f));
-          }
-        }
-        if (out >= leave) break;
-        t = out;
-        const int64_t is_z = mask(tz <= xy), is_x = mask(tx < ty) & ~is_z, is_y = ~(is_x | is_z);
-        at += (step_x & is_x) + (step_y & is_y) + (step_z & is_z);
-        middle += (move_x & is_x) + (move_y & is_y) + (move_z & is_z);
-        tx += dx & is_x;
-        ty += dy & is_y;
-        tz += dz & is_z;
-        xy = std::min(tx, ty);
-        out = std::min(xy, tz);
+  size_t columns() const { return static_cast<size_t>((disparity_.disparity.cols + step_ - 1) / step_); }
+  int rows() const { return (disparity_.disparity.rows + step_ - 1) / step_; }
+  int bands() const { return (rows() + RayBand::kRows - 1) / RayBand::kRows; }
+
+  void make(int index, RayBand& band) const {
+    const int first = index * RayBand::kRows, count = std::min(RayBand::kRows, rows() - first);
+    band.clear();
+    SightRow row = row_;
+    for (int y = 0; y < count; ++y) {
+      const int image_y = (first + y) * step_;
+      const Eigen::Vector3d left =
+          rotation_ * Eigen::Vector3d(-camera_.cx / camera_.f, (image_y - camera_.cy) / camera_.f, 1);
+      const Eigen::Vector3d column_step = rotation_.col(0) * (step_ / camera_.f);
+      for (int a = 0; a < 3; ++a) row.first[a] = left[a], row.column_step[a] = column_step[a];
+      float* const measured = band.disparity.data() + static_cast<size_t>(y) * band.stride();
+      const float* const disparities = disparity_.disparity.ptr<float>(image_y);
+      const uint8_t* const origins = disparity_.origin.ptr<uint8_t>(image_y);
+      for (size_t i = 0; i < columns(); ++i) {
+        const size_t x = i * static_cast<size_t>(step_);
+        measured[i] = origins[x] <= static_cast<uint8_t>(DisparityOrigin::within_segment) ? disparities[x] : 0;
       }
-      update_box();
-    } else if (out > t) {
-      rays[at] += way.rays;  // the last box of the tile, surely empty
+      sight_row(row, y, band);
     }
-    // Into the next tile.
-    t = out;
-    if (tz <= xy) {
-      box[2] += sign[2];
-      tz += dz;
-    } else if (tx < ty) {
-      box[0] += sign[0];
-      tx += dx;
-    } else {
-      box[1] += sign[1];
-      ty += dy;
-    }
-    for (size_t k = 0; k < 3; ++k) {
-      if (box[k] < 0 || box[k] >= boxes_[static_cast<Eigen::Index>(k)]) return;
-    }
-    xy = std::min(tx, ty);
-    out = std::min(xy, tz);
   }
-}
 
-// Walks the rays of a square of pixels, together as far as they go together.
+ private:
+  const DisparityImage& disparity_;
+  int step_;
+  Eigen::Matrix3d rotation_;
+  RectifiedCamera camera_;
+  SightRow row_;
+};
+
+// Walks the rays of squares of pixels, together as far as they go together.
 class Bundles {
  public:
-  static constexpr int kLevels = 3;  // squares of 8, 4, 2 pixels and single ones
-  static constexpr int kSide = 1 << kLevels;
-
-  Bundles(const SightRays& rays, double apart, Walker& walker) : rays_(rays), walker_(walker) {
-    for (int level = 0; level <= kLevels; ++level) {
-      reach_[static_cast<size_t>(level)] = apart / (rays.spacing * (1 << level));
+  // `apart` [m], `spacing` [rad] of neighbouring pixels.
+  Bundles(double apart, double spacing, Walker& walker) : walker_(walker) {
+    for (int level = 0; level <= RayBand::kLevels; ++level) {
+      reach_[static_cast<size_t>(level)] = static_cast<float>(apart / (spacing * (1 << level)));
     }
   }
 
-  // ids: kSide x kSide rays by row and column, -1 = none.
-  void walk(const std::array<int, kSide * kSide>& ids) {
-    ids_ = &ids;
-    for (int y = 0; y < kSide; ++y) {
-      for (int x = 0; x < kSide; ++x) {
-        Node& node = nodes_[0][static_cast<size_t>(y * kSide + x)];
-        const int id = ids[static_cast<size_t>(y * kSide + x)];
-        if (id < 0) {
-          node = {};
-          continue;
-        }
-        const SightRay& ray = rays_.rays[static_cast<size_t>(id)];
-        node = {ray.direction, std::min(ray.end, ray.length - ray.error), 1};
-      }
-    }
-    for (int level = 1; level <= kLevels; ++level) {
-      const std::vector<Node>& parts = nodes_[static_cast<size_t>(level) - 1];
-      for (int y = 0; y < kSide >> level; ++y) {
-        for (int x = 0; x < kSide >> level; ++x) {
-          Node sum;
-          for (const int v : {2 * y, 2 * y + 1}) {
-            for (const int u : {2 * x, 2 * x + 1}) {
-              const Node& part = parts[static_cast<size_t>(v * kSide + u)];
-              sum.direction += part.direction;
-              sum.empty_to = std::min(sum.empty_to, part.empty_to);
-              sum.rays += part.rays;
-            }
-          }
-          nodes_[static_cast<size_t>(level)][static_cast<size_t>(y * kSide + x)] = sum;
-        }
-      }
-    }
-    follow(kLevels, 0, 0, 0);
+  void walk(const RayBand& band) {
+    for (size_t x = 0; x < band.levels[RayBand::kLevels].stride; ++x) follow<RayBand::kLevels>(band, x, 0, 0);
   }
 
  private:
-  struct Node {
-    Eigen::Vector3f direction = Eigen::Vector3f::Zero();  // sum
-    float empty_to = std::numeric_limits<float>::max();   // [m] the first of the rays says more from here on
-    uint32_t rays = 0;
-  };
-
-  // The square of 2^level pixels with the index (x, y) among its like, from a distance on.
-  void follow(int level, int x, int y, double from) {
-    const auto at = static_cast<size_t>(y * kSide + x);
-    const Node& node = nodes_[static_cast<size_t>(level)][at];
-    if (node.rays == 0) return;
-    if (level == 0) {
-      const SightRay& ray = rays_.rays[static_cast<size_t>((*ids_)[at])];
-      if (from < static_cast<double>(ray.end)) {
-        walker_.walk({ray.direction.cast<double>(), from, ray.end, ray.length, ray.error, 1});
+  // The square of 2^kLevel pixels with the index (x, y) among its like, from a distance on.
+  template <int kLevel>
+  void follow(const RayBand& band, size_t x, size_t y, float from) {
+    const RayBand::Level& level = band.levels[kLevel];
+    const size_t at = y * level.stride + x;
+    const float rays = level.rays[at];
+    if (rays == 0) return;
+    const Eigen::Vector3f direction(level.direction[0][at], level.direction[1][at], level.direction[2][at]);
+    if constexpr (kLevel == 0) {
+      if (from < band.end[at]) walker_.add_ray(direction, from, band.length[at], band.error[at], band.end[at]);
+    } else {
+      const float to = std::min(reach_[kLevel], level.empty_to[at]);
+      if (rays > 1 && to > from) {
+        walker_.add_empty(direction.normalized(), from, to, static_cast<uint32_t>(rays));
+        from = to;
       }
-      return;
-    }
-    constexpr double kFar = 1e6;  // [m] what a bundle says holds for empty space only
-    const double to = std::min<double>(reach_[static_cast<size_t>(level)], node.empty_to);
-    if (node.rays > 1 && to > from) {
-      walker_.walk({node.direction.cast<double>().normalized(), from, to, kFar, 1, node.rays});
-      from = to;
-    }
-    for (const int v : {2 * y, 2 * y + 1}) {
-      for (const int u : {2 * x, 2 * x + 1}) follow(level - 1, u, v, from);
+      for (const size_t v : {2 * y, 2 * y + 1}) {
+        for (const size_t u : {2 * x, 2 * x + 1}) follow<kLevel - 1>(band, u, v, from);
+      }
     }
   }
 
-  const SightRays& rays_;
   Walker& walker_;
-  std::array<double, kLevels + 1> reach_;  // [m] to where the rays of a square lie together
-  const std::array<int, kSide* kSide>* ids_ = nullptr;
-  std::array<std::vector<Node>, kLevels + 1> nodes_ = {std::vector<Node>(kSide * kSide),
-                                                       std::vector<Node>(kSide* kSide), std::vector<Node>(kSide* kSide),
-                                                       std::vector<Node>(kSide* kSide)};
+  std::array<float, RayBand::kLevels + 1> reach_;  // [m] to where the rays of a square lie together
 };
 
-// The tiles that rays can reach, inclusive; false: none.
-bool reachable(const SightRays& rays, const TiledGrid& grid, Eigen::Vector3i& low, Eigen::Vector3i& high) {
-  if (rays.rays.empty()) return false;
-  Eigen::Vector3d least = rays.origin, most = rays.origin;
-  for (const SightRay& ray : rays.rays) {
-    const Eigen::Vector3d point = rays.origin + ray.direction.cast<double>() * ray.end;
-    least = least.cwiseMin(point), most = most.cwiseMax(point);
-  }
+// The tiles that rays can reach whose ends lie in a box around their origin, inclusive; false: none.
+bool reachable(const Eigen::Vector3d& origin, const Eigen::AlignedBox3f& ends, const TiledGrid& grid,
+               Eigen::Vector3i& low, Eigen::Vector3i& high) {
   constexpr double kRounding = 1e-3;  // [boxes]
+  const Eigen::Vector3d least = origin + ends.min().cast<double>(), most = origin + ends.max().cast<double>();
   const Eigen::Vector3d tile = grid.box.cwiseProduct(grid.tile_boxes.cast<double>());
   const Eigen::Vector3d margin = kRounding * grid.box;
   low = (least - margin - grid.origin).cwiseQuotient(tile).array().floor().cast<int>();
@@ -347,120 +190,215 @@ bool reachable(const SightRays& rays, const TiledGrid& grid, Eigen::Vector3i& lo
 }  // namespace
 
 SightRays sight_rays(const StereoView& view, const RayOptions& options) {
-  const RectifiedCamera& camera = view.camera;
-  const double f_t = camera.f * camera.baseline;
-  const cv::Mat1f& disparity = view.disparity.disparity;
-  IRIS_CHECK(options.step >= 1 && options.min_disparity > 0);
+  const BandMaker maker(view, options);
   SightRays result{view.world_from_cam.translation(), {}};
-  result.columns = (disparity.cols + options.step - 1) / options.step;
-  result.spacing = options.step / camera.f;
-  result.rays.reserve(static_cast<size_t>(disparity.rows / options.step + 1) *
-                      static_cast<size_t>(disparity.cols / options.step + 1));
-  const Eigen::Matrix3d rotation = view.world_from_cam.linear();
-  const Eigen::Vector3d columns = rotation.col(0) / camera.f;
-  for (int y = 0; y < disparity.rows; y += options.step) {
-    const Eigen::Vector3d row = rotation * Eigen::Vector3d(-camera.cx / camera.f, (y - camera.cy) / camera.f, 1);
-    for (int x = 0; x < disparity.cols; x += options.step) {
-      const float measured = view.disparity.at(y, x, DisparityOrigin::within_segment);
-      const double d = measured + camera.disparity_offset;
-      if (measured <= 0 || d <= 0) continue;
-      const Eigen::Vector3d sight = row + columns * x;  // to the point at depth 1
-      const double stretch = sight.norm();
-      const double z = f_t / d, length = stretch * z;
-      const double propagated = options.pixel_error * std::sqrt(2.0) * z * length / f_t;  // (4.24)
-      const double error = std::max(3 * propagated, options.min_error);
-      double end = length + error;
-      if (d < options.min_disparity) {
-        // Far points only tell where it is free. Below half a pixel their error exceeds their distance: they tell
-        // nothing.
-        end = std::min(stretch * f_t / options.min_disparity, length - error);
-        if (end <= 0) continue;
+  result.rays.reserve(maker.columns() * static_cast<size_t>(maker.rows()));
+  RayBand band(maker.columns());
+  const RayBand::Level& pixels = band.levels[0];
+  for (int b = 0; b < maker.bands(); ++b) {
+    maker.make(b, band);
+    for (int y = 0; y < RayBand::kRows; ++y) {
+      for (size_t x = 0; x < maker.columns(); ++x) {
+        const size_t at = static_cast<size_t>(y) * band.stride() + x;
+        if (band.end[at] <= 0) continue;
+        result.rays.push_back({{pixels.direction[0][at], pixels.direction[1][at], pixels.direction[2][at]},
+                               band.length[at],
+                               band.error[at],
+                               band.end[at],
+                               (b * RayBand::kRows + y) * options.step * view.disparity.disparity.cols +
+                                   static_cast<int>(x) * options.step});
       }
-      end = std::min(end, options.max_range);
-      result.rays.push_back({(sight / stretch).cast<float>(), static_cast<float>(length), static_cast<float>(error),
-                             static_cast<float>(end), y * disparity.cols + x, y / options.step, x / options.step});
     }
   }
   return result;
 }
 
-void fuse_view(const SightRays& rays, const TiledGrid& grid, const FusionOptions& options, const TileOf& tile_of) {
-  Eigen::Vector3i low, high;
-  if (!reachable(rays, grid, low, high)) return;
-  // Parts of the rays, each with sums of its own: [begin, end), at borders of squares of pixels if there is a picture.
-  const bool bundle = options.bundle > 0 && rays.columns > 0;
-  const auto row_of = [&](size_t i) { return rays.rays[i].row; };
-  std::vector<size_t> parts = {0};
-  while (parts.back() < rays.rays.size()) {
-    size_t end = std::min(parts.back() + kMostRays, rays.rays.size());
-    if (bundle && end < rays.rays.size()) {
-      const int band = row_of(end) / Bundles::kSide;
-      size_t border = end;
-      while (border > parts.back() && row_of(border - 1) / Bundles::kSide == band) --border;
-      if (border > parts.back()) end = border;
+namespace {
+
+// (6.2) for a block of boxes of a tile, which lies `corner` boxes from the corner of the tile.
+void apply(const std::vector<const BoxSum*>& parts, const BoxLayout& layout, const Eigen::Vector3i& corner,
+           const Eigen::Vector3i& tile_boxes, uint32_t max_rays, std::span<FlogCell> tile) {
+  const int nx = 1 << layout.block_shift[0], ny = 1 << layout.block_shift[1], nz = 1 << layout.block_shift[2];
+  size_t i = 0;
+  for (int z = 0; z < nz; ++z) {
+    for (int y = 0; y < ny; ++y) {
+      FlogCell* const row = &tile[(static_cast<size_t>(corner.z() + z) * static_cast<size_t>(tile_boxes.y()) +
+                                   static_cast<size_t>(corner.y() + y)) *
+                                      static_cast<size_t>(tile_boxes.x()) +
+                                  static_cast<size_t>(corner.x())];
+      for (int x = 0; x < nx; ++x, ++i) {
+        uint64_t rays_and_lack = 0, occupied = 0;
+        for (const BoxSum* part : parts) {
+          rays_and_lack += part[i].rays_and_lack;
+          occupied += part[i].occupied;
+        }
+        const auto rays = static_cast<uint32_t>(rays_and_lack >> kRayShift);
+        if (rays == 0) continue;
+        const uint64_t lack = rays_and_lack & (kOneRay - 1);
+        FlogCell& cell = row[x];
+        const double before = cell.rays, added = rays, weight = 1 / (before + added);
+        const double empty = before * cell.empty + (added * FlogCell::kOne - static_cast<double>(lack));
+        cell.empty = static_cast<uint16_t>(empty * weight + 0.5);
+        cell.occupied = static_cast<uint16_t>((before * cell.occupied + static_cast<double>(occupied)) * weight + 0.5);
+        cell.rays = std::min({cell.rays + rays, max_rays, FlogCell::kMostRays});
+        cell.views = std::min(cell.views + 1u, 255u);
+      }
     }
-    parts.push_back(end);
   }
-  const double apart = options.bundle * std::min(grid.box.x(), grid.box.y());
-  // So many at once: bounds the memory, whatever the number of threads.
-  constexpr size_t kAtOnce = 4;
-  for (size_t first = 0; first + 1 < parts.size(); first += kAtOnce) {
-    const size_t count = std::min(kAtOnce, parts.size() - 1 - first);
-    std::vector<std::vector<std::unique_ptr<TileSums>>> sums(count);
-    parallel_chunks(0, static_cast<int>(count), 1, [&](int begin, int end) {
-      for (int p = begin; p < end; ++p) {
-        Walker walker(grid, rays.origin, low, high);
-        size_t i = parts[first + static_cast<size_t>(p)];
-        const size_t part_end = parts[first + static_cast<size_t>(p) + 1];
-        if (!bundle) {
-          for (; i < part_end; ++i) {
-            const SightRay& ray = rays.rays[i];
-            walker.walk({ray.direction.cast<double>(), 0, ray.end, ray.length, ray.error, 1});
-          }
-        }
-        Bundles bundles(rays, std::max(apart, 1e-12), walker);
-        std::vector<std::array<int, Bundles::kSide * Bundles::kSide>> squares(
-            bundle ? static_cast<size_t>(rays.columns / Bundles::kSide + 1) : 0);
-        while (i < part_end) {  // bands of squares
-          for (auto& square : squares) square.fill(-1);
-          const int band = row_of(i) / Bundles::kSide;
-          for (; i < part_end && row_of(i) / Bundles::kSide == band; ++i) {
-            const int column = rays.rays[i].column;
-            squares[static_cast<size_t>(column / Bundles::kSide)]
-                   [static_cast<size_t>(row_of(i) % Bundles::kSide * Bundles::kSide + column % Bundles::kSide)] =
-                       static_cast<int>(i);
-          }
-          for (const auto& square : squares) bundles.walk(square);
-        }
-        sums[static_cast<size_t>(p)] = walker.take();
+}
+
+// A walker for each thread that asks for one at a time. Which rays it gets does not matter, since sums of integers do
+// not depend on their order.
+class Walkers {
+ public:
+  explicit Walkers(std::function<std::unique_ptr<Walker>()> make) : make_(std::move(make)) {}
+
+  void use(const std::function<void(Walker&)>& work) {
+    Walker* walker = nullptr;
+    {
+      const std::lock_guard lock(mutex_);
+      if (!idle_.empty()) {
+        walker = idle_.back();
+        idle_.pop_back();
       }
-    });
-    struct Task {
-      size_t tile;
-      std::span<FlogCell> cells;
-    };
-    std::vector<Task> tasks;
-    for (size_t t = 0; t < sums.front().size(); ++t) {
-      const TileSums* touched = nullptr;
-      for (const auto& of_part : sums) {
-        if (of_part[t]) touched = of_part[t].get();
-      }
-      if (!touched) continue;
-      const std::span<FlogCell> cells = tile_of(touched->index);
-      if (cells.empty()) continue;
-      IRIS_CHECK(cells.size() == static_cast<size_t>(grid.tile_boxes.prod()));
-      tasks.push_back({t, cells});
     }
-    parallel_chunks(0, static_cast<int>(tasks.size()), 1, [&](int begin, int end) {
-      for (int i = begin; i < end; ++i) {
-        const Task& task = tasks[static_cast<size_t>(i)];
-        std::vector<const TileSums*> of_tile;
-        for (const auto& of_part : sums) {
-          if (of_part[task.tile]) of_tile.push_back(of_part[task.tile].get());
+    if (!walker) {
+      std::unique_ptr<Walker> made = make_();
+      walker = made.get();
+      const std::lock_guard lock(mutex_);
+      all_.push_back(std::move(made));
+    }
+    work(*walker);
+    const std::lock_guard lock(mutex_);
+    idle_.push_back(walker);
+  }
+  const std::vector<std::unique_ptr<Walker>>& all() const { return all_; }
+
+ private:
+  std::function<std::unique_ptr<Walker>()> make_;
+  std::mutex mutex_;
+  std::vector<std::unique_ptr<Walker>> all_;
+  std::vector<Walker*> idle_;
+};
+
+// Boxes of a tile's sums.
+struct TileBlocks {
+  Eigen::Vector3i tile;                  // from the first one of the region
+  std::vector<size_t> blocks;            // ascending
+  std::vector<Eigen::Vector3i> corners;  // [boxes] of the blocks, from the tile's
+};
+
+// All blocks with sums, by tiles in ascending order (z, y, x).
+std::vector<TileBlocks> touched_tiles(const std::vector<std::unique_ptr<Walker>>& walkers, const TiledGrid& grid) {
+  std::vector<uint32_t> blocks;
+  for (const auto& walker : walkers) {
+    const std::vector<uint32_t>& of_walker = walker->sums().allocated();
+    blocks.insert(blocks.end(), of_walker.begin(), of_walker.end());
+  }
+  std::sort(blocks.begin(), blocks.end());
+  blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());
+  const BoxLayout& layout = walkers.front()->sums().layout();
+  std::map<std::array<int, 3>, TileBlocks> tiles;
+  for (const uint32_t block : blocks) {
+    const auto x = static_cast<int>(block & ((1u << layout.blocks_shift[0]) - 1));
+    const auto y = static_cast<int>(block >> layout.blocks_shift[0] & ((1u << layout.blocks_shift[1]) - 1));
+    const auto z = static_cast<int>(block >> (layout.blocks_shift[0] + layout.blocks_shift[1]));
+    const Eigen::Vector3i at(x << layout.block_shift[0], y << layout.block_shift[1], z << layout.block_shift[2]);
+    const Eigen::Vector3i tile = at.cwiseQuotient(grid.tile_boxes);
+    TileBlocks& of_tile = tiles[{tile.z(), tile.y(), tile.x()}];
+    of_tile.tile = tile;
+    of_tile.blocks.push_back(block);
+    of_tile.corners.push_back(at - tile.cwiseProduct(grid.tile_boxes));
+  }
+  std::vector<TileBlocks> result;
+  for (auto& [index, tile] : tiles) result.push_back(std::move(tile));
+  return result;
+}
+
+// Updates the cells with all that the walkers have summed up.
+void apply(const std::vector<std::unique_ptr<Walker>>& walkers, const TiledGrid& grid, const Eigen::Vector3i& low,
+           uint32_t max_rays, const TileOf& tile_of) {
+  if (walkers.empty()) return;
+  const std::vector<TileBlocks> touched = touched_tiles(walkers, grid);
+  std::vector<std::span<FlogCell>> tiles;
+  for (const TileBlocks& tile : touched) {
+    tiles.push_back(tile_of(tile.tile + low));
+    IRIS_CHECK(tiles.back().empty() || tiles.back().size() == static_cast<size_t>(grid.tile_boxes.prod()));
+  }
+  parallel_chunks(0, static_cast<int>(touched.size()), 1, [&](int begin, int end) {
+    std::vector<const BoxSum*> parts;
+    for (int t = begin; t < end; ++t) {
+      const TileBlocks& tile = touched[static_cast<size_t>(t)];
+      const std::span<FlogCell> cells = tiles[static_cast<size_t>(t)];
+      for (size_t b = 0; !cells.empty() && b < tile.blocks.size(); ++b) {
+        parts.clear();
+        for (const auto& walker : walkers) {
+          if (const BoxSum* part = walker->sums().table()[tile.blocks[b]]) parts.push_back(part);
         }
-        apply(of_tile, options.max_rays, task.cells);
+        apply(parts, walkers.front()->sums().layout(), tile.corners[b], grid.tile_boxes, max_rays, cells);
       }
+    }
+  });
+}
+
+}  // namespace
+
+void fuse_view(const StereoView& view, const RayOptions& ray_options, const TiledGrid& grid,
+               const FusionOptions& options, const TileOf& tile_of) {
+  const BandMaker maker(view, ray_options);
+  const Eigen::Vector3d origin = view.world_from_cam.translation();
+  constexpr int kGrain = 6;  // bands; a part of the image
+  // Where the rays end, before any is followed. They are made twice, which is cheaper than to hold them.
+  std::vector<Eigen::AlignedBox3f> boxes(static_cast<size_t>(maker.bands()));
+  parallel_chunks(0, maker.bands(), kGrain, [&](int begin, int end) {
+    RayBand band(maker.columns());
+    for (int b = begin; b < end; ++b) {
+      maker.make(b, band);
+      boxes[static_cast<size_t>(b)] = {Eigen::Vector3f(band.low), Eigen::Vector3f(band.high)};
+    }
+  });
+  Eigen::AlignedBox3f ends;
+  for (const Eigen::AlignedBox3f& box : boxes) ends.extend(box);
+  Eigen::Vector3i low, high;
+  if (ends.isEmpty() || !reachable(origin, ends, grid, low, high)) return;
+
+  const double apart = options.bundle * std::min(grid.box.x(), grid.box.y());
+  const int most = static_cast<int>(kMostRays / (maker.columns() * RayBand::kRows));  // bands at once
+  IRIS_CHECK(most > 0);
+  for (int first = 0; first < maker.bands(); first += most) {
+    Walkers walkers([&] { return std::make_unique<Walker>(grid, origin, low, high); });
+    parallel_chunks(first, std::min(first + most, maker.bands()), kGrain, [&](int begin, int end) {
+      walkers.use([&](Walker& walker) {
+        RayBand band(maker.columns());
+        Bundles bundles(apart, ray_options.step / view.camera.f, walker);
+        for (int b = begin; b < end; ++b) {
+          maker.make(b, band);
+          sum_squares(band);
+          bundles.walk(band);
+        }
+        walker.finish();
+      });
     });
+    apply(walkers.all(), grid, low, options.max_rays, tile_of);
+  }
+}
+
+void fuse_rays(const SightRays& rays, const TiledGrid& grid, const FusionOptions& options, const TileOf& tile_of) {
+  if (rays.rays.empty()) return;
+  Eigen::AlignedBox3f ends(Eigen::Vector3f::Zero().eval());
+  for (const SightRay& ray : rays.rays) ends.extend(ray.direction * ray.end);
+  Eigen::Vector3i low, high;
+  if (!reachable(rays.origin, ends, grid, low, high)) return;
+  for (size_t first = 0; first < rays.rays.size(); first += kMostRays) {
+    const size_t last = std::min(first + kMostRays, rays.rays.size());
+    std::vector<std::unique_ptr<Walker>> walkers;
+    walkers.push_back(std::make_unique<Walker>(grid, rays.origin, low, high));
+    for (size_t i = first; i < last; ++i) {
+      const SightRay& ray = rays.rays[i];
+      walkers[0]->add_ray(ray.direction, 0, ray.length, ray.error, ray.end);
+    }
+    walkers[0]->finish();
+    apply(walkers, grid, low, options.max_rays, tile_of);
   }
 }
 

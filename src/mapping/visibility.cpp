@@ -15,6 +15,7 @@ constexpr int kSide = FlogMap::kTileCells;
 // Occupied cells next to the cell in question do not hide it: a surface looked at from the side would hide itself.
 constexpr int kNeighbour = 1;
 constexpr double kAtCamera = 2;  // [cells] what is so near to the camera does not hide anything either
+constexpr int kClear = 2;        // [cells] of obstacles, where a single view is to be believed
 
 struct Viewpoint {
   Eigen::Matrix3d cam_from_world;
@@ -24,7 +25,13 @@ struct Viewpoint {
 
 class Sight {
  public:
-  Sight(const FlogMap& map, const TileStates& obstacles) : map_(map), obstacles_(obstacles), top_(map.all_slices()) {}
+  // `wider`: the obstacles are by so many cells.
+  Sight(const FlogMap& map, const TileStates& obstacles, int wider)
+      : map_(map),
+        obstacles_(obstacles),
+        top_(map.all_slices()),
+        neighbour_(kNeighbour + wider),
+        at_camera_(kAtCamera + wider) {}
 
   // Whether nothing occupied lies between a cell and the camera.
   bool is_free(const Eigen::Vector3i& target, const Eigen::Vector3d& camera) const {
@@ -32,7 +39,7 @@ class Sight {
     const Eigen::Vector3d low = target.cast<double>();
     const Eigen::Vector3d start = camera.cwiseMax(low).cwiseMin(low + Eigen::Vector3d::Ones());
     const Eigen::Vector3d way = camera - start;
-    const double end = 1 - kAtCamera / std::max(kAtCamera, way.norm());
+    const double end = 1 - at_camera_ / std::max(at_camera_, way.norm());
     Eigen::Vector3i cell = target, step;
     Eigen::Vector3d next, delta;
     for (int a = 0; a < 3; ++a) {
@@ -60,14 +67,15 @@ class Sight {
       const size_t at =
           (static_cast<size_t>(cell.z()) * kSide + (cell.y() & (kSide - 1))) * kSide + (cell.x() & (kSide - 1));
       if ((*tile)[at] != static_cast<uint8_t>(MapState::occupied)) continue;
-      if ((cell - target).cwiseAbs().maxCoeff() > kNeighbour) return false;
+      if ((cell - target).cwiseAbs().maxCoeff() > neighbour_) return false;
     }
   }
 
  private:
   const FlogMap& map_;
   const TileStates& obstacles_;
-  int top_;
+  int top_, neighbour_;
+  double at_camera_;  // [cells]
 };
 
 // What hides: the occupied cells, and what lies between two occupied ones above each other. Walls stand upright; where
@@ -96,9 +104,43 @@ TileStates obstacles_of(const FlogMap& map, const TileStates& states) {
   return obstacles;
 }
 
+// All occupied cells wider by `cells` along x and y, where there are tiles.
+TileStates widened(const FlogMap& map, const TileStates& obstacles, int cells) {
+  constexpr auto kOccupied = static_cast<uint8_t>(MapState::occupied);
+  TileStates result = obstacles;
+  // One axis after the other. Each tile takes from itself and from its neighbours.
+  for (const bool along_x : {true, false}) {
+    const TileStates from = result;
+    parallel_chunks(0, static_cast<int>(from.size()), 1, [&](int begin, int end) {
+      for (int t = begin; t < end; ++t) {
+        std::vector<uint8_t>& tile = result[static_cast<size_t>(t)];
+        for (size_t i = 0; i < tile.size(); ++i) {
+          const auto along = static_cast<int>(along_x ? i % kSide : i / kSide % kSide);
+          const int stride = along_x ? 1 : kSide;
+          for (int k = -cells; k <= cells && tile[i] != kOccupied; ++k) {
+            int there = along + k, other = t;
+            if (there < 0 || there >= kSide) {
+              const int step = there < 0 ? -1 : 1;
+              const int column = t % map.tiles_x + (along_x ? step : 0), row = t / map.tiles_x + (along_x ? 0 : step);
+              if (column < 0 || row < 0 || column >= map.tiles_x || row >= map.tiles_y) continue;
+              other = row * map.tiles_x + column;
+              there -= step * kSide;
+            }
+            const std::vector<uint8_t>& source = from[static_cast<size_t>(other)];
+            if (source.empty()) continue;
+            const int64_t at = static_cast<int64_t>(i) + static_cast<int64_t>(there - along) * stride;
+            if (source[static_cast<size_t>(at)] == kOccupied) tile[i] = kOccupied;
+          }
+        }
+      }
+    });
+  }
+  return result;
+}
+
 }  // namespace
 
-void forget_unseen(const FlogMap& map, TileStates& states) {
+void forget_unseen(const FlogMap& map, int min_views, TileStates& states) {
   if (map.viewpoints.empty()) return;
   const double bottom = map.layer_bounds.front();
   const Eigen::Vector3d cell(map.cell_size, map.cell_size, map.slice_height());
@@ -110,7 +152,9 @@ void forget_unseen(const FlogMap& map, TileStates& states) {
   }
   TileStates seen = states;
   const TileStates obstacles = obstacles_of(map, states);
-  const Sight sight(map, obstacles);
+  const TileStates wide_obstacles = widened(map, obstacles, kClear);
+  const Sight sight(map, obstacles, 0), clear_sight(map, wide_obstacles, kClear);
+  const size_t enough = std::min(static_cast<size_t>(min_views), map.viewpoints.size());
   parallel_chunks(0, static_cast<int>(states.size()), 1, [&](int begin, int end) {
     for (int t = begin; t < end; ++t) {
       const auto index = static_cast<size_t>(t);
@@ -124,13 +168,14 @@ void forget_unseen(const FlogMap& map, TileStates& states) {
       std::stable_sort(order.begin(), order.end(), [&](const Viewpoint* a, const Viewpoint* b) {
         return (a->position - middle).head<2>().squaredNorm() < (b->position - middle).head<2>().squaredNorm();
       });
-      const auto sees = [&](const Viewpoint& view, const Eigen::Vector3i& target, const Eigen::Vector3d& point) {
+      const auto sees = [&](const Sight& use, const Viewpoint& view, const Eigen::Vector3i& target,
+                            const Eigen::Vector3d& point) {
         const Eigen::Vector3d in_cam = view.cam_from_world * (point - view.position);
         if (in_cam.z() <= 0) return false;
         const Eigen::Vector3d pixel = map.camera.project(in_cam);
         if (!(pixel.x() >= 0 && pixel.y() >= 0 && pixel.x() < map.camera.width && pixel.y() < map.camera.height))
           return false;
-        return sight.is_free(target, view.in_cells);
+        return use.is_free(target, view.in_cells);
       };
       size_t last = 0;  // what saw the neighbour mostly sees the next one as well
       for (size_t i = 0; i < states[index].size(); ++i) {
@@ -139,9 +184,10 @@ void forget_unseen(const FlogMap& map, TileStates& states) {
                                      static_cast<int>(i / (kSide * kSide)));
         const Eigen::Vector3d point =
             (target.cast<double>() + Eigen::Vector3d::Constant(0.5)).cwiseProduct(cell) + Eigen::Vector3d(0, 0, bottom);
-        bool found = last < order.size() && sees(*order[last], target, point);
+        const Sight& use = map.tiles[index]->cells[i].views < enough ? clear_sight : sight;
+        bool found = last < order.size() && sees(use, *order[last], target, point);
         for (size_t v = 0; v < order.size() && !found; ++v) {
-          if (v == last || !sees(*order[v], target, point)) continue;
+          if (v == last || !sees(use, *order[v], target, point)) continue;
           found = true;
           last = v;
         }

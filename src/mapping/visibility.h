@@ -13,8 +13,9 @@ using TileStates = std::vector<std::vector<uint8_t>>;
 
 // Sets the cells to unknown that no view can have seen: no view has the cell's middle in its image with free sight,
 // that is with no occupied cell on the straight line to it but those next to the cell itself. What a map says about
-// such cells comes from wrong matches or from the spread of far measurements behind a surface. `states` of a map
-// without viewpoints stay as they are.
-void forget_unseen(const FlogMap& map, TileStates& states);
+// such cells comes from wrong matches or from the spread of far measurements behind a surface. Sight of cells that rays
+// of fewer than `min_views` views crossed is free only if it keeps two cells away from what is occupied. `states` of a
+// map without viewpoints stay as they are.
+void forget_unseen(const FlogMap& map, int min_views, TileStates& states);
 
 }  // namespace iris::mapping

@@ -4,8 +4,10 @@
 #include <octomap/ColorOcTree.h>
 #include <octomap/OcTree.h>
 
+#include <atomic>
 #include <cmath>
 #include <cstdlib>
+#include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <numbers>
@@ -129,6 +131,12 @@ TEST_F(OctreeFileTest, OctomapsOwnToolReadsTheFile) {
   const std::string command = "cd '" + folder_.string() + "' && bt2vrml map.bt > log.txt 2>&1";
   EXPECT_EQ(std::system(command.c_str()), 0);
   EXPECT_GT(fs::file_size(folder_ / "map.bt.wrl"), 1000u);
+}
+
+TEST_F(OctreeFileTest, StopsWhenAskedAndLeavesNothing) {
+  const std::atomic<bool> stop = true;
+  EXPECT_THROW(write_octree(folder_ / "stopped", *store_, {}, {.stop = &stop}), Interrupted);
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "stopped" / "map.ot"));
 }
 
 TEST_F(OctreeFileTest, NoViewsGiveEmptyTrees) {

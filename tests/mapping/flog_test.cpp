@@ -158,7 +158,7 @@ TEST(Rasterise, KnowsOnlyWhatAViewCanHaveSeen) {
   map.tiles[0]->viewpoints = {0};
   for (int i = 0; i < kSide * kSide; ++i) {
     const bool wall = i % kSide == 30;
-    map.tiles[0]->cells.push_back(wall ? FlogCell{0, FlogCell::kOne, 5} : FlogCell{FlogCell::kOne, 0, 5});
+    map.tiles[0]->cells.push_back(wall ? FlogCell{0, FlogCell::kOne, 5, 1} : FlogCell{FlogCell::kOne, 0, 5, 1});
   }
   FlogOptions options;
   const auto state_at = [&](int x, int y) {
@@ -173,9 +173,26 @@ TEST(Rasterise, KnowsOnlyWhatAViewCanHaveSeen) {
   EXPECT_EQ(state_at(30, 50), MapState::occupied);  // seen aslant
   EXPECT_EQ(state_at(40, 32), MapState::unknown);   // behind the wall
   EXPECT_EQ(state_at(5, 60), MapState::unknown);    // outside of the image
-  map.tiles[0]->cells[32 * kSide + 30] = {FlogCell::kOne, 0, 5};
-  map.tiles[0]->cells[33 * kSide + 30] = {FlogCell::kOne, 0, 5};
-  EXPECT_EQ(state_at(40, 32), MapState::free);  // through a hole of two cells
+  const auto open_from_to = [&](int from, int to) {
+    for (int y = from; y < to; ++y)
+      map.tiles[0]->cells[static_cast<size_t>(y * kSide + 30)] = {FlogCell::kOne, 0, 5, 1};
+  };
+  open_from_to(31, 34);
+  EXPECT_EQ(state_at(40, 32), MapState::free);  // through a hole of three cells
+  open_from_to(29, 37);
+  EXPECT_EQ(state_at(40, 32), MapState::free);
+  EXPECT_EQ(state_at(40, 20), MapState::unknown);
+  // What is behind a narrow gap is believed if more than one view has measured it.
+  map.viewpoints.push_back(map.viewpoints[0]);
+  for (int y = 29; y < 37; ++y) map.tiles[0]->cells[static_cast<size_t>(y * kSide + 30)] = {0, FlogCell::kOne, 5, 1};
+  open_from_to(32, 34);
+  FlogCell& behind = map.tiles[0]->cells[32 * kSide + 40];
+  behind = {0, FlogCell::kOne, 5, 1};
+  EXPECT_EQ(state_at(40, 32), MapState::unknown);
+  behind.views = 2;
+  EXPECT_EQ(state_at(40, 32), MapState::occupied);
+  behind = {FlogCell::kOne, 0, 5, 2};
+  EXPECT_EQ(state_at(40, 32), MapState::free);
   options.seen_only = false;
   EXPECT_EQ(state_at(40, 20), MapState::free);
   EXPECT_EQ(state_at(5, 60), MapState::free);

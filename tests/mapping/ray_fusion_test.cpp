@@ -14,6 +14,9 @@
 #include <string>
 #include <tuple>
 
+#include "support/box_room.h"
+#include "support/simd_targets.h"
+
 namespace iris::mapping {
 namespace {
 
@@ -90,7 +93,7 @@ SightRays random_rays(int count, std::mt19937& random, const Eigen::Vector3d& or
 using Cells = std::map<Index, FlogCell>;
 
 // Adds the rays of one view to the cells, tile by tile.
-void fuse_all(const SightRays& rays, const TiledGrid& grid, uint32_t cap, Cells& result, double bundle = 0) {
+void fuse_all(const SightRays& rays, const TiledGrid& grid, uint32_t cap, Cells& result) {
   const Eigen::Vector3i n = grid.tile_boxes;
   std::map<Index, std::vector<FlogCell>> tiles;
   const auto index_of = [&](const Index& tile, int i) {
@@ -99,7 +102,7 @@ void fuse_all(const SightRays& rays, const TiledGrid& grid, uint32_t cap, Cells&
         Eigen::Vector3i(i % n.x(), i / n.x() % n.y(), i / (n.x() * n.y())) + Eigen::Vector3i(x, y, z).cwiseProduct(n);
     return Index{box.x(), box.y(), box.z()};
   };
-  fuse_view(rays, grid, {.max_rays = cap, .bundle = bundle}, [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
+  fuse_rays(rays, grid, {.max_rays = cap}, [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
     const Index tile{index.x(), index.y(), index.z()};
     std::vector<FlogCell>& cells = tiles[tile];
     if (!cells.empty()) return cells;
@@ -119,13 +122,14 @@ void fuse_all(const SightRays& rays, const TiledGrid& grid, uint32_t cap, Cells&
 
 class RayFusionTest : public ::testing::TestWithParam<TiledGrid> {};
 
-// 100 000 rays, one after the other in double precision as (6.2) has it. Each view may add the rounding of a mean.
+// 100 000 rays, one after the other in double precision as (6.2) has it, on each instruction set that the machine has.
+// Each view may add the rounding of a mean.
 TEST_P(RayFusionTest, UpdatesTheBoxesThatBruteForceFindsToOneUnit) {
   const TiledGrid grid = GetParam();
   for (const int views : {1, 4}) {
     std::mt19937 random(7);
     std::map<Index, BruteCell> truth;
-    Cells found;
+    std::vector<SightRays> of_view;
     for (int view = 0; view < views; ++view) {
       SightRays rays = random_rays(100000 / views, random, {0.013 + 0.31 * view, -0.021, 0.037});
       std::erase_if(rays.rays, [&](const SightRay& ray) {
@@ -141,22 +145,26 @@ TEST_P(RayFusionTest, UpdatesTheBoxesThatBruteForceFindsToOneUnit) {
         return false;
       });
       EXPECT_GT(rays.rays.size(), 99600u / views);
-      fuse_all(rays, grid, 1u << 30, found);
+      of_view.push_back(std::move(rays));
     }
-    ASSERT_EQ(found.size(), truth.size());
-    double worst = 0;
-    int64_t visits = 0;
-    for (const auto& [index, cell] : truth) {
-      ASSERT_TRUE(found.contains(index));
-      const FlogCell& other = found.at(index);
-      ASSERT_EQ(other.rays, static_cast<uint32_t>(cell.rays));
-      worst = std::max({worst, std::abs(other.empty - FlogCell::kOne * cell.empty),
-                        std::abs(other.occupied - FlogCell::kOne * cell.occupied)});
-      visits += cell.rays;
-    }
-    RecordProperty(fmt::format("worst_of_{}_views", views), std::to_string(worst));
-    EXPECT_GT(visits, 200000);
-    EXPECT_LE(worst, views == 1 ? 1 : 1.5);
+    testing::for_each_simd_target([&](const char* target) {
+      Cells found;
+      for (const SightRays& rays : of_view) fuse_all(rays, grid, 1u << 30, found);
+      ASSERT_EQ(found.size(), truth.size()) << target;
+      double worst = 0;
+      int64_t visits = 0;
+      for (const auto& [index, cell] : truth) {
+        ASSERT_TRUE(found.contains(index)) << target;
+        const FlogCell& other = found.at(index);
+        ASSERT_EQ(other.rays, static_cast<uint32_t>(cell.rays)) << target;
+        worst = std::max({worst, std::abs(other.empty - FlogCell::kOne * cell.empty),
+                          std::abs(other.occupied - FlogCell::kOne * cell.occupied)});
+        visits += cell.rays;
+      }
+      RecordProperty(fmt::format("worst_of_{}_views_{}", views, target), std::to_string(worst));
+      EXPECT_GT(visits, 200000);
+      EXPECT_LE(worst, views == 1 ? 1 : 1.5) << target;
+    });
   }
 }
 
@@ -221,13 +229,78 @@ TEST(FuseRays, AFullCellFollowsNewViews) {
   double exact = 0;
   for (uint32_t i = 0; i < 3 * cap; i += in_view) {
     exact = (cap * exact + 0.9 * in_view) / (cap + in_view);
-    fuse_view(rays, grid, {.max_rays = cap},
+    fuse_rays(rays, grid, {.max_rays = cap},
               [&](const Eigen::Vector3i& index) { return index.isZero() ? std::span(tile) : std::span<FlogCell>(); });
     ASSERT_EQ(tile[0].rays, cap);
   }
   EXPECT_GT(exact, 0.85);
   EXPECT_NEAR(tile[0].mu_occupied(), exact, 4e-3);
   EXPECT_NEAR(tile[0].mu_empty(), 1 - exact, 4e-3);
+}
+
+// Rays of neighbouring pixels that are followed together through empty space say of no box that something is there, or
+// say less of it, than by themselves: only what they count as empty may go to the box beside.
+TEST(FuseView, RaysThatAreFollowedTogetherSayTheSameOfSurfaces) {
+  const RectifiedCamera camera{.f = 220, .cx = 162, .cy = 119.5, .baseline = 0.2, .width = 325, .height = 243};
+  const testing::BoxRoom room;
+  const StereoView view = testing::view_of(room, camera, testing::level_camera({0.2, -0.1, 0.1}, 0.4, 0.1), 0.1);
+  const TiledGrid grid{.box = {0.05, 0.05, 0.1}, .tile_boxes = {16, 16, 16}};
+  for (const int step : {1, 2}) {
+    const auto fuse = [&](double bundle) {
+      std::map<Index, std::vector<FlogCell>> tiles;
+      fuse_view(view, {.min_error = 0.05, .step = step}, grid, {.max_rays = 1u << 30, .bundle = bundle},
+                [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
+                  std::vector<FlogCell>& cells = tiles[{index.x(), index.y(), index.z()}];
+                  cells.resize(4096);
+                  return cells;
+                });
+      return tiles;
+    };
+    const auto single = fuse(0), together = fuse(0.5);
+    double rays = 0, rays_together = 0, units = 0;
+    for (const auto& [index, cells] : single) {
+      static const std::vector<FlogCell> kNone(4096);
+      const auto other = together.find(index);
+      for (size_t i = 0; i < cells.size(); ++i) {
+        const FlogCell &a = cells[i], &b = (other == together.end() ? kNone : other->second)[i];
+        rays += a.rays, rays_together += b.rays;
+        // Sums of muO, from means that are rounded.
+        const double in_a = static_cast<double>(a.rays) * a.occupied, in_b = static_cast<double>(b.rays) * b.occupied;
+        units += in_a;
+        ASSERT_NEAR(in_a, in_b, 0.5 * (a.rays + b.rays) + 1);
+      }
+    }
+    EXPECT_GT(units, 1e8);
+    EXPECT_NEAR(rays_together, rays, 0.01 * rays) << "step " << step;
+  }
+}
+
+// The rays of a view are those of sight_rays().
+TEST(FuseView, FollowsTheRaysOfTheView) {
+  const RectifiedCamera camera{.f = 220, .cx = 162, .cy = 119.5, .baseline = 0.2, .width = 325, .height = 243};
+  const StereoView view =
+      testing::view_of(testing::BoxRoom(), camera, testing::level_camera({0.2, -0.1, 0.1}, 0.4, 0.1), 0.1);
+  const TiledGrid grid{.box = {0.05, 0.05, 0.1}, .tile_boxes = {16, 16, 16}};
+  Cells one, other;
+  const auto into = [&](Cells& cells, std::map<Index, std::vector<FlogCell>>& tiles) {
+    for (const auto& [tile, of_tile] : tiles) {
+      for (int i = 0; i < 4096; ++i) {
+        if (of_tile[static_cast<size_t>(i)].rays == 0) continue;
+        const auto [x, y, z] = tile;
+        cells[{16 * x + i % 16, 16 * y + i / 16 % 16, 16 * z + i / 256}] = of_tile[static_cast<size_t>(i)];
+      }
+    }
+  };
+  std::map<Index, std::vector<FlogCell>> tiles;
+  fuse_view(view, {.min_error = 0.05}, grid, {.max_rays = 1u << 30}, [&](const Eigen::Vector3i& index) {
+    std::vector<FlogCell>& cells = tiles[{index.x(), index.y(), index.z()}];
+    cells.resize(4096);
+    return std::span(cells);
+  });
+  into(one, tiles);
+  fuse_all(sight_rays(view, {.min_error = 0.05}), grid, 1u << 30, other);
+  ASSERT_EQ(one.size(), other.size());
+  for (const auto& [index, cell] : one) EXPECT_EQ(std::memcmp(&cell, &other.at(index), sizeof(FlogCell)), 0);
 }
 
 TEST(SightRays, FollowTheErrorModelAndAreCutWhereItEnds) {

@@ -33,6 +33,9 @@ struct FlogOptions {
   double min_confidence = 0.05;  // K of (6.3) below which a cell is unknown in the trinary map
   double occupied_level = 0.2;   // memberships of occupancy from here on make an obstacle in the trinary map
   bool seen_only = true;         // cells that no view can have seen past the obstacles of the map are unknown in it
+  int min_views = 2;             // what rays of fewer views say of a cell is believed only if their sight of it keeps
+                                 // clear of obstacles: where texture repeats itself, one view looks through a gap in a
+                                 // wall that is narrower than its matching windows. 1 = always
 
   void declare(OptionSet& set);
 };

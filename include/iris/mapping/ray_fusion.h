@@ -20,15 +20,11 @@ struct SightRay {
   float error;                // e of (6.1): half the width of the triangle around the point
   float end;                  // nothing is said at or beyond this distance: lc + e, or where the ray is cut
   int pixel;                  // y * width + x of the pixel that measured it
-  int row = 0, column = 0;    // of that pixel, in steps
 };
 
 struct SightRays {
   Eigen::Vector3d origin;  // optical centre
   std::vector<SightRay> rays;
-  // Of a picture: rays by rows, `columns` in a row, seen `spacing` [rad] apart at most. 0 = no picture.
-  int columns = 0;
-  double spacing = 0;
 };
 
 struct RayOptions {
@@ -54,10 +50,10 @@ struct TiledGrid {
 
 struct FusionOptions {
   uint32_t max_rays = 1;  // Nt: N of a box is capped at it (6.3.2)
-  // [boxes] Rays of neighbouring pixels are followed together through empty space as long as they are within this of
-  // each other (a block of 2, 4 or 8 pixels a side): along the middle of the block, counted as so many rays. Where any
-  // of them says more than that it is empty (6.1), they go apart. Moves a part of their count into a neighbouring box,
-  // but no membership. 0 = every ray by itself.
+  // [boxes] Of views, not of single rays: rays of neighbouring pixels are followed together through empty space as long
+  // as they are within this of each other (a block of 2, 4 or 8 pixels a side): along the middle of the block, counted
+  // as so many rays. Where any of them says more than that it is empty (6.1), they go apart. Moves a part of their
+  // count into a neighbouring box, but no membership. 0 = every ray by itself.
   double bundle = 0;
 };
 
@@ -66,13 +62,16 @@ using TileOf = std::function<std::span<FlogCell>(const Eigen::Vector3i& index)>;
 
 // Updates all boxes that the rays of a view cross: (6.1) and (6.2). The rays of a view come at the same time, so that
 // all of them count alike: n rays move a membership mu to (N mu + sum of mu_i) / (N + n), which is what (6.2) gives one
-// after the other as long as N is below its cap. Sums of integers (at most 65535 rays a sum, then the cells are
-// updated): the result does not depend on the number of threads. `tile_of` is called by one thread at a time, in
-// ascending order (z, y, x), possibly more than once a tile. A ray updates each box that it crosses once. r is the
-// distance of the point that is nearest to the box's middle among the points of the ray inside the box: a point outside
-// would say where the surface is in a neighbour (layers are much higher than cells are wide, and a tilted ray passes
-// the middle's height far from the box). In a rendered room that leaves 107 occupied cells beside the 298 of the walls,
-// instead of 361.
-void fuse_view(const SightRays& rays, const TiledGrid& grid, const FusionOptions& options, const TileOf& tile_of);
+// after the other as long as N is below its cap. Sums of integers (of 2^24 rays at most, then the cells are updated):
+// the result does not depend on the number of threads. `tile_of` is called by one thread at a time, in ascending order
+// (z, y, x). A ray updates each box that it crosses once. r is the distance of the point that is nearest to the box's
+// middle among the points of the ray inside the box: a point outside would say where the surface is in a neighbour
+// (layers are much higher than cells are wide, and a tilted ray passes the middle's height far from the box). In a
+// rendered room that leaves 107 occupied cells beside the 298 of the walls, instead of 361.
+void fuse_view(const StereoView& view, const RayOptions& rays, const TiledGrid& grid, const FusionOptions& options,
+               const TileOf& tile_of);
+
+// The same for any rays from one point, each followed by itself.
+void fuse_rays(const SightRays& rays, const TiledGrid& grid, const FusionOptions& options, const TileOf& tile_of);
 
 }  // namespace iris::mapping

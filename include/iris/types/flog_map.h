@@ -14,9 +14,11 @@ namespace iris {
 struct FlogCell {
   static constexpr uint16_t kOne = 65535;  // a membership of 1
 
-  uint16_t empty = 0;     // muE * kOne
-  uint16_t occupied = 0;  // muO * kOne
-  uint32_t rays = 0;      // N, capped at 3 NK
+  uint16_t empty = 0;      // muE * kOne
+  uint16_t occupied = 0;   // muO * kOne
+  uint32_t rays : 24 = 0;  // N, capped at 3 NK and at kMostRays
+  uint32_t views : 8 = 0;  // that had a ray through it, 255 = or more
+  static constexpr uint32_t kMostRays = (1u << 24) - 1;
 
   float mu_empty() const { return static_cast<float>(empty) / kOne; }
   float mu_occupied() const { return static_cast<float>(occupied) / kOne; }

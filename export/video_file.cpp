@@ -4,7 +4,9 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cctype>
+#include <cstdlib>  // says whether it is of glibc
 #include <fstream>
 #include <opencv2/videoio.hpp>
 #include <string>
@@ -12,6 +14,10 @@
 
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
+
+#ifdef __GLIBC__
+#include <malloc.h>
+#endif
 
 namespace iris::exporters {
 namespace fs = std::filesystem;
@@ -63,6 +69,28 @@ std::string lower_extension(const fs::path& path) {
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   return extension;
 }
+
+// While it lives, allocated memory is zero (with glibc). x264 looks at memory that it has not written, and what an
+// earlier user of it left there decides between equally good codings: the same pictures would not give the same file.
+class CleanMemory {
+ public:
+#ifdef M_PERTURB
+  // New memory is filled with the complement of the value.
+  CleanMemory() {
+    if (users_++ == 0) mallopt(M_PERTURB, 255);
+  }
+  ~CleanMemory() {
+    if (--users_ == 0) mallopt(M_PERTURB, 0);
+  }
+#else
+  CleanMemory() = default;
+#endif
+  CleanMemory(const CleanMemory&) = delete;
+  CleanMemory& operator=(const CleanMemory&) = delete;
+
+ private:
+  static inline std::atomic<int> users_ = 0;
+};
 
 }  // namespace
 
@@ -117,6 +145,7 @@ bool write_fast_start(const fs::path& from, const fs::path& to) {
 }
 
 struct VideoWriter::State {
+  CleanMemory clean_memory;  // first: it outlives the encoder
   fs::path path, temporary;
   int width = 0, height = 0;
   int frames = 0;

@@ -125,6 +125,36 @@ TEST_F(VideoFile, TheSameFramesGiveTheSameFile) {
   EXPECT_EQ(bytes[0], bytes[1]);
 }
 
+// Whatever is in the memory that the encoder gets: x264 looks at some that it has not written.
+TEST_F(VideoFile, WhatMemoryHeldBeforeDoesNotMatter) {
+  std::vector<cv::Mat3b> pictures;
+  cv::RNG random(3);
+  cv::Mat3b noise(120, 160);
+  random.fill(noise, cv::RNG::UNIFORM, 0, 256);
+  cv::GaussianBlur(noise, noise, {0, 0}, 3);
+  cv::normalize(noise, noise, 0, 255, cv::NORM_MINMAX);
+  for (int i = 0; i < 11; ++i) {
+    const cv::Matx23d moved(1 + 0.02 * i, 0.01 * i, -2.3 * i, -0.01 * i, 1 + 0.02 * i, 1.1 * i);
+    cv::Mat3b picture;
+    cv::warpAffine(noise, picture, moved, noise.size());
+    pictures.push_back(picture);
+  }
+  std::string first;
+  for (const int left : {0, 77, 165, 254}) {
+    std::vector<std::vector<char>> blocks;
+    for (int i = 0; i < 300; ++i)
+      blocks.emplace_back(size_t{1000} * static_cast<size_t>(i + 1), static_cast<char>(left));
+    blocks.clear();
+    VideoWriter writer(folder_ / "tour.mp4", 160, 120, 10);
+    for (const cv::Mat3b& picture : pictures) writer.add(picture);
+    writer.close();
+    std::ifstream file(folder_ / "tour.mp4", std::ios::binary);
+    const std::string bytes(std::istreambuf_iterator<char>(file), {});
+    if (first.empty()) first = bytes;
+    EXPECT_TRUE(bytes == first) << left;
+  }
+}
+
 TEST_F(VideoFile, WithoutCloseNothingIsLeft) {
   {
     VideoWriter writer(folder_ / "tour.mp4", 160, 96, 10);

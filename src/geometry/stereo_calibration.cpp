@@ -47,6 +47,21 @@ void validate_camera(const CameraModel& camera, const char* side, const std::fil
 
 }  // namespace
 
+Eigen::Matrix3d rect_from_left_rotation(const StereoCalibration& calibration) {
+  const Eigen::Vector3d T_s = calibration.right_centre_in_left();
+  Eigen::Matrix3d rotation;
+  const Eigen::Vector3d e1 = T_s.normalized();
+  const Eigen::Vector3d e2 = Eigen::Vector3d(-T_s.y(), T_s.x(), 0).normalized();
+  rotation.row(0) = e1;
+  rotation.row(1) = e2;
+  rotation.row(2) = e1.cross(e2);
+  return rotation;
+}
+
+double rectified_focal_length(const StereoCalibration& c) {
+  return (c.left.K(0, 0) + c.left.K(1, 1) + c.right.K(0, 0) + c.right.K(1, 1)) / 4;
+}
+
 bool is_rectified(const StereoCalibration& c) {
   if (c.left.distorted() || c.right.distorted()) return false;
   const double f = c.left.K(0, 0);

@@ -11,17 +11,6 @@
 namespace iris::rectify {
 namespace {
 
-// Rows e1, e2, e3 of (2.11-2.13); T_s is the right camera's centre in the left camera's frame.
-Eigen::Matrix3d rectifying_rotation(const Eigen::Vector3d& T_s) {
-  Eigen::Matrix3d rotation;
-  const Eigen::Vector3d e1 = T_s.normalized();
-  const Eigen::Vector3d e2 = Eigen::Vector3d(-T_s.y(), T_s.x(), 0).normalized();
-  rotation.row(0) = e1;
-  rotation.row(1) = e2;
-  rotation.row(2) = e1.cross(e2);
-  return rotation;
-}
-
 // A^-1 p of (2.14), turned into the recorded camera, through its lens.
 Eigen::Vector2d source(const RectifiedCamera& rectified, const Eigen::Matrix3d& rect_from_cam,
                        const CameraModel& camera, double max_angle, const Eigen::Vector2d& pixel) {
@@ -76,12 +65,11 @@ Rectifier::Rectifier(const StereoCalibration& calibration)
     camera_.disparity_offset += right.K(0, 2) - left.K(0, 2);
     return;
   }
-  const Eigen::Vector3d T_s = calibration.right_centre_in_left();
-  camera_.f = (left.K(0, 0) + left.K(1, 1) + right.K(0, 0) + right.K(1, 1)) / 4;
+  camera_.f = rectified_focal_length(calibration);
   camera_.cx = (camera_.width - 1) / 2.0;
   camera_.cy = (camera_.height - 1) / 2.0;
-  camera_.baseline = T_s.norm();
-  rect_from_left_ = rectifying_rotation(T_s);
+  camera_.baseline = calibration.right_centre_in_left().norm();
+  rect_from_left_ = rect_from_left_rotation(calibration);
   rect_from_right_ = rect_from_left_ * calibration.right_from_left.linear().transpose();
   fill_tables(
       camera_.width, camera_.height, [&](const Eigen::Vector2d& p) { return left_source(p); }, left_map_,

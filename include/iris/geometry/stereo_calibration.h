@@ -22,6 +22,13 @@ struct StereoCalibration {
   Eigen::Vector3d right_centre_in_left() const { return right_from_left.inverse().translation(); }
 };
 
+// Turns directions of the left camera into those of the rectified cameras: rows e1, e2, e3 of (2.11-2.13). e1 points to
+// the right camera, e2 is perpendicular to it and to the left optical axis.
+Eigen::Matrix3d rect_from_left_rotation(const StereoCalibration& calibration);
+
+// The common focal length of the rectified cameras [px]: the mean of the four of both cameras (thesis 2.4).
+double rectified_focal_length(const StereoCalibration& calibration);
+
 // True if the values themselves say that the images need no rectification: no distortion, equal square focal lengths,
 // equal rows of the principal points, identity rotation, translation along x.
 bool is_rectified(const StereoCalibration& calibration);

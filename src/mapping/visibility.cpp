@@ -15,7 +15,7 @@ constexpr int kSide = FlogMap::kTileCells;
 // Occupied cells next to the cell in question do not hide it: a surface looked at from the side would hide itself.
 constexpr int kNeighbour = 1;
 constexpr double kAtCamera = 2;  // [cells] what is so near to the camera does not hide anything either
-constexpr int kClear = 2;        // [cells] of obstacles, where a single view is to be believed
+constexpr int kClear = 2;  // [cells] that sight keeps away from obstacles: nothing was seen through a narrower gap
 
 struct Viewpoint {
   Eigen::Matrix3d cam_from_world;
@@ -184,7 +184,8 @@ void forget_unseen(const FlogMap& map, int min_views, TileStates& states) {
                                      static_cast<int>(i / (kSide * kSide)));
         const Eigen::Vector3d point =
             (target.cast<double>() + Eigen::Vector3d::Constant(0.5)).cwiseProduct(cell) + Eigen::Vector3d(0, 0, bottom);
-        const Sight& use = map.tiles[index]->cells[i].views < enough ? clear_sight : sight;
+        const bool is_free = states[index][i] == static_cast<uint8_t>(MapState::free);
+        const Sight& use = is_free || map.tiles[index]->cells[i].views < enough ? clear_sight : sight;
         bool found = last < order.size() && sees(use, *order[last], target, point);
         for (size_t v = 0; v < order.size() && !found; ++v) {
           if (v == last || !sees(use, *order[v], target, point)) continue;

@@ -13,9 +13,11 @@ using TileStates = std::vector<std::vector<uint8_t>>;
 
 // Sets the cells to unknown that no view can have seen: no view has the cell's middle in its image with free sight,
 // that is with no occupied cell on the straight line to it but those next to the cell itself. What a map says about
-// such cells comes from wrong matches or from the spread of far measurements behind a surface. Sight of cells that rays
-// of fewer than `min_views` views crossed is free only if it keeps two cells away from what is occupied. `states` of a
-// map without viewpoints stay as they are.
+// such cells comes from wrong matches or from the spread of far measurements behind a surface. Of what is free, and of
+// cells that rays of fewer than `min_views` views crossed, sight is free only if it keeps two cells away from what is
+// occupied: a window of matching does not see through a gap that is narrower than itself, but where texture repeats
+// itself, wrong matches make such gaps in a wall and free space behind them. `states` of a map without viewpoints stay
+// as they are.
 void forget_unseen(const FlogMap& map, int min_views, TileStates& states);
 
 }  // namespace iris::mapping

@@ -178,11 +178,11 @@ TEST(Rasterise, KnowsOnlyWhatAViewCanHaveSeen) {
       map.tiles[0]->cells[static_cast<size_t>(y * kSide + 30)] = {FlogCell::kOne, 0, 5, 1};
   };
   open_from_to(31, 34);
-  EXPECT_EQ(state_at(40, 32), MapState::free);  // through a hole of three cells
+  EXPECT_EQ(state_at(40, 32), MapState::unknown);  // so narrow a gap is a wrong match
   open_from_to(29, 37);
   EXPECT_EQ(state_at(40, 32), MapState::free);
   EXPECT_EQ(state_at(40, 20), MapState::unknown);
-  // What is behind a narrow gap is believed if more than one view has measured it.
+  // An obstacle behind a narrow gap is believed if more than one view has measured it.
   map.viewpoints.push_back(map.viewpoints[0]);
   for (int y = 29; y < 37; ++y) map.tiles[0]->cells[static_cast<size_t>(y * kSide + 30)] = {0, FlogCell::kOne, 5, 1};
   open_from_to(32, 34);
@@ -192,7 +192,7 @@ TEST(Rasterise, KnowsOnlyWhatAViewCanHaveSeen) {
   behind.views = 2;
   EXPECT_EQ(state_at(40, 32), MapState::occupied);
   behind = {FlogCell::kOne, 0, 5, 2};
-  EXPECT_EQ(state_at(40, 32), MapState::free);
+  EXPECT_EQ(state_at(40, 32), MapState::unknown);
   options.seen_only = false;
   EXPECT_EQ(state_at(40, 20), MapState::free);
   EXPECT_EQ(state_at(5, 60), MapState::free);

@@ -66,5 +66,7 @@ struct ViewQualityOptions {
   std::string pictures;   // folder for some of the pictures beside the truth; empty = none
 };
 void print_view_quality(const ViewQualityOptions& options);
+// Builds the octree of a large site and prints what it takes.
+void print_large_octree();
 
 }  // namespace iris::bench

@@ -227,6 +227,10 @@ int main(int argc, char** argv) {
       iris::bench::print_view_quality(view_quality);
       return 0;
     }
+    if (argument == "--octree") {
+      iris::bench::print_large_octree();
+      return 0;
+    }
     if (argument == "--quick") {
       quick = true;
     } else if (argument == "--processor-time") {

@@ -185,7 +185,7 @@ PairEquations pair_equations(const Reduced& vi, const Reduced& vj, const Rectifi
                              const Pose& j_from_i) {
   constexpr size_t kFewest = 60;         // points
   constexpr double kGreyError = 8;       // [grey levels] noise, texture at half size, shine
-  constexpr double kIndependent = 0.25;  // share of the points that are: neighbours err alike, depths are not exact
+  constexpr double kIndependent = 0.05;  // share of the points that are: neighbours err alike, depths are not exact
   constexpr double kMostOff = 25;        // [grey levels] mean error of pictures that do not belong together
   PairEquations equations;
   const DisparityMap map(cj, ci, j_from_i);
@@ -230,8 +230,8 @@ PairEquations pair_equations(const Reduced& vi, const Reduced& vj, const Rectifi
 void align(const std::vector<views::ViewSummary>& views, const std::vector<Pair>& pairs, ReducedViews& reduced,
            std::vector<ViewCorrection>& corrections) {
   constexpr int kRounds = 4;
-  constexpr double kTurn = 0.003;  // [rad] a pose is usually right to that,
-  constexpr double kShift = 0.1;   // [baselines] and to this
+  constexpr double kTurn = 0.002;  // [rad] a pose is usually right to that,
+  constexpr double kShift = 0.03;  // [baselines] and to this
   const int count = static_cast<int>(views.size());
   for (int round = 0; round < kRounds; ++round) {
     std::vector<PairEquations> equations(pairs.size());

@@ -77,7 +77,7 @@ struct Sample {
 Meeting between(const Sample& a, const Sample& b, float max_step) {
   if (a.image <= 0 || b.image <= 0 || std::abs(a.image - b.image) > max_step) return Meeting::nothing;
   if (a.delta > 0 && b.delta <= 0) return Meeting::surface;
-  if (a.delta < 0 && b.delta > 0) return Meeting::back_side;
+  if (a.delta < 0 && b.delta >= 0) return Meeting::back_side;
   return Meeting::nothing;
 }
 

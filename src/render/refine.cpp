@@ -4,6 +4,7 @@
 #include <cmath>
 #include <list>
 #include <mutex>
+#include <opencv2/imgproc.hpp>
 #include <unordered_map>
 
 #include "disparity_map.h"
@@ -15,6 +16,7 @@ namespace iris::render {
 namespace {
 
 constexpr float kDisparityError = 0.5f;  // [px] largest usual error of a disparity (a matching error, poses together)
+constexpr int kReach = 2;                // [px] within which a surface may be shifted
 constexpr int kRows = 16;                // that are worked on together
 
 // How much a disparity is worth beside a measured one.
@@ -29,6 +31,7 @@ enum class Verdict { nothing, support, free_space, hidden };
 struct Neighbour {
   const StereoView* view;
   DisparityMap from_own, to_own;
+  cv::Mat1f nearest;  // largest disparity within kReach: poses are not exact, and borders of objects not either
 };
 
 struct Statement {
@@ -71,7 +74,8 @@ Statement ask(const Neighbour& neighbour, float x, float y, float disparity) {
   const cv::Mat1b& origin = neighbour.view->disparity.origin;
   statement.trust = origin.empty() ? 1.0f : trust_of(origin(nearest_y, nearest_x));
   if (delta > tolerance) {
-    statement.verdict = Verdict::free_space;
+    const bool beside = neighbour.nearest(nearest_y, nearest_x) >= at.disparity - tolerance;
+    statement.verdict = beside ? Verdict::nothing : Verdict::free_space;
   } else if (delta < -tolerance) {
     statement.verdict = Verdict::hidden;
   } else {
@@ -153,7 +157,9 @@ StereoView check_free_space(const StereoView& view, const std::vector<std::share
   std::vector<Neighbour> neighbours;
   for (const auto& other : others) {
     if (other->disparity.disparity.rows < 2 || other->disparity.disparity.cols < 2) continue;
-    neighbours.push_back({other.get(), DisparityMap(*other, view), DisparityMap(view, *other)});
+    Neighbour neighbour{other.get(), DisparityMap(*other, view), DisparityMap(view, *other), {}};
+    cv::dilate(other->disparity.disparity, neighbour.nearest, cv::Mat::ones(2 * kReach + 1, 2 * kReach + 1, CV_8U));
+    neighbours.push_back(std::move(neighbour));
   }
   if (neighbours.empty()) return checked;
   std::vector<cv::Mat1f> seen(neighbours.size());
@@ -187,8 +193,7 @@ StereoView check_free_space(const StereoView& view, const std::vector<std::share
         }
         // The own surface does not stand: whichever of the neighbours' surfaces has most support.
         const float refuted = disparity;
-        disparity = 0;
-        float most = 0;
+        float most = 0, replacement = 0;
         int supporters = 0;
         for (const cv::Mat1f& candidates : seen) {
           const float candidate = candidates(y, x);
@@ -206,8 +211,10 @@ StereoView check_free_space(const StereoView& view, const std::vector<std::share
           }
           if (votes <= most + 1e-4f || total <= 0) continue;
           most = votes, supporters = agreeing;
-          disparity = mean / total;
+          replacement = mean / total;
         }
+        // What nothing else explains is kept, but hardly counts any more.
+        if (replacement > 0) disparity = replacement;
         origin = static_cast<uint8_t>(disparity <= 0    ? DisparityOrigin::none
                                       : supporters >= 2 ? DisparityOrigin::within_segment
                                                         : DisparityOrigin::between_segments);

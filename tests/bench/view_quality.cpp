@@ -23,6 +23,7 @@
 #include "iris/session/session.h"
 #include "iris/simulate/simulator.h"
 #include "iris/stereo/mwmf.h"
+#include "iris/stereo/search_range.h"
 #include "iris/views/selection.h"
 
 namespace iris::bench {
@@ -99,6 +100,16 @@ NovelCamera camera_of(const RectifiedCamera& camera, const Pose& world_from_cam)
           .world_from_cam = world_from_cam};
 }
 
+// As a run finds it.
+int search_range(const Recording& recording, const stereo::MwmfOptions& options) {
+  constexpr size_t kSamples = 12;
+  std::vector<StereoPair> samples;
+  for (size_t k = 0; k < kSamples; ++k) {
+    samples.push_back(recording.pairs[recording.pairs.size() * (2 * k + 1) / (2 * kSamples)]);
+  }
+  return stereo::estimate_search_range(samples, options).disparities;
+}
+
 // Every n-th of the chosen frames is held out, the others are sources.
 Case hold_out(const std::string& name, const Recording& recording, const std::vector<int>& frames, int every) {
   Case result{.name = name, .sources = {}, .targets = {}};
@@ -113,7 +124,7 @@ Case hold_out(const std::string& name, const Recording& recording, const std::ve
     }
   }
   stereo::MwmfOptions stereo;
-  stereo.disparities = 128;
+  stereo.disparities = search_range(recording, stereo);
   result.sources.resize(sources.size());
   parallel_chunks(0, static_cast<int>(sources.size()), 1, [&](int begin, int end) {
     for (int i = begin; i < end; ++i) {

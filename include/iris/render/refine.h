@@ -38,9 +38,10 @@ std::vector<ViewCorrection> find_corrections(const views::ViewStore& store,
                                              const DsnvOptions& options);
 
 // The view's disparities after comparison with its neighbours' (free space). A surface that lies where neighbours see
-// through, farther than the errors of both disparities explain, is replaced by the surface that most views support, or
-// removed; pixels without disparity get the neighbours' surface; where views agree, their mean is taken, weighted by
-// the variances propagated from the disparities. Origin: replaced surfaces count as interpolated.
+// through, farther than the errors of both disparities explain, is replaced by the surface that most views support (if
+// there is none, it stays, but counts as filled in); pixels without disparity get the neighbours' surface; where views
+// agree, their mean is taken, weighted by the variances propagated from the disparities. Origin: replaced surfaces
+// count as interpolated.
 StereoView check_free_space(const StereoView& view, const std::vector<std::shared_ptr<const StereoView>>& neighbours);
 
 // The views of another store after all that `options` asks for. Neighbours and corrections are found once, when it is

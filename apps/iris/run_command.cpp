@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <fstream>
+#include <iterator>
 #include <memory>
 
 #include "apps/iris/command.h"
@@ -21,7 +23,7 @@ struct Run {
   explicit Run(CLI::App& command)
       : arguments(command, {"session", "stereo", "motion", "views", "loop", "mapping", "map", "sheet", "octree",
                             "scene", "render", "tour"}) {}
-  std::string session, out;
+  std::string session, out, poses;
   bool debug_motion = false;
   Arguments arguments;
 };
@@ -52,10 +54,18 @@ int run(Run& run) {
   log_to_file(out / "log.txt");
   spdlog::info("{}: {}, {} stereo frames", session->folder().string(), session->kind(), session->size());
   for (const std::string& note : session->notes()) spdlog::warn("{}", note);
+  pipeline::KnownPoses known;
+  if (!run.poses.empty()) {
+    std::ifstream file(run.poses, std::ios::binary);
+    if (!file) throw InputError(run.poses, "cannot be read", "give a file of poses (TUM or KITTI)");
+    const std::string text{std::istreambuf_iterator<char>(file), {}};
+    known = pipeline::known_poses(text, run.poses, *session, arguments.options.library.session);
+    arguments.options.library.loop.enabled = false;  // what is given is not corrected
+  }
   write_options(out, arguments.set);
 
   if (run.debug_motion) arguments.options.library.motion_pictures = out / "debug" / "motion";
-  std::vector<pipeline::Stage> stages = {pipeline::frames_stage(*session, arguments.options.library),
+  std::vector<pipeline::Stage> stages = {pipeline::frames_stage(*session, arguments.options.library, std::move(known)),
                                          pipeline::loop_stage(arguments.options.library)};
   for (pipeline::Stage& stage : exporters::product_stages(arguments.options, arguments.set))
     stages.push_back(std::move(stage));
@@ -102,6 +112,11 @@ Command add_run(CLI::App& program) {
                    "Recorded session: a folder (KITTI, EuRoC/ASL, two image folders, videos) or a video")
       ->required();
   command->add_option("-o,--output", state->out, "Output folder")->type_name("OUT")->check(kNotEmpty)->required();
+  command
+      ->add_option("--poses", state->poses,
+                   "File of known poses of the recorded left camera (TUM with the recording's time stamps, or KITTI): "
+                   "they are the path, nothing of it is estimated or corrected")
+      ->type_name("FILE");
   command->add_flag("--debug-motion", state->debug_motion,
                     "Write a picture of each frame's corners and pairs to OUT/debug/motion");
   return [state] { return run(*state); };

@@ -5,6 +5,7 @@
 #include <tbb/parallel_pipeline.h>
 #include <tbb/task_arena.h>
 
+#include <algorithm>
 #include <map>
 #include <memory>
 #include <opencv2/imgcodecs.hpp>
@@ -12,6 +13,7 @@
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "iris/evaluate/formats.h"
 #include "iris/motion/chain.h"
 #include "iris/motion/motion_picture.h"
 #include "iris/stereo/search_range.h"
@@ -38,8 +40,12 @@ struct Item {
 
 class FrameStream {
  public:
-  FrameStream(const session::Session& session, const Options& options, int disparities)
-      : session_(session), options_(options), stereo_(options.stereo), rectifier_(session.calibration()) {
+  FrameStream(const session::Session& session, const Options& options, int disparities, bool needs_features)
+      : session_(session),
+        options_(options),
+        stereo_(options.stereo),
+        needs_features_(needs_features),
+        rectifier_(session.calibration()) {
     stereo_.disparities = disparities;
   }
 
@@ -59,6 +65,7 @@ class FrameStream {
     item.pair = rectifier_.rectify(item.frame);
     item.frame = {};
     item.disparity = stereo::mwmf(item.pair.left, item.pair.right, stereo_);
+    if (!needs_features_) return;
     item.features =
         motion::extract_features(item.pair.left, item.disparity, camera(), options_.motion, item.pair.right);
   }
@@ -67,6 +74,7 @@ class FrameStream {
   const session::Session& session_;
   const Options& options_;
   stereo::MwmfOptions stereo_;
+  bool needs_features_;
   rectify::Rectifier rectifier_;
 };
 
@@ -161,7 +169,29 @@ void write_motion_picture(const std::filesystem::path& folder, const motion::Vie
   write_file(folder / fmt::format("{:06d}.png", frame_idx), png);
 }
 
-std::vector<std::string> run_frames(const session::Session& session, const Options& options,
+// The step of the path that known poses give; the sub-map's frame is the first camera of them.
+motion::ChainStep known_step(const KnownPoses& known, int frame_idx, int previous) {
+  constexpr double kError = 1e-4;  // [m], [rad] what is given counts as exact
+  motion::ChainStep step;
+  const auto pose_of = [&](int frame) -> const std::optional<Pose>& { return known[static_cast<size_t>(frame)]; };
+  if (!pose_of(frame_idx)) {
+    step.blind = true;
+    return step;
+  }
+  const auto first = std::find_if(known.begin(), known.end(), [](const auto& pose) { return pose.has_value(); });
+  step.world_from_cam = (*first)->inverse() * *pose_of(frame_idx);
+  if (previous < 0) {
+    step.new_submap = true;
+    return step;
+  }
+  step.reference_frame = previous;
+  step.estimate.status = MotionStatus::ok;
+  step.estimate.prev_from_cur = pose_of(previous)->inverse() * *pose_of(frame_idx);
+  step.estimate.covariance = Matrix6d::Identity() * kError * kError;
+  return step;
+}
+
+std::vector<std::string> run_frames(const session::Session& session, const Options& options, const KnownPoses& known,
                                     workspace::Workspace& workspace, const RunControl& control,
                                     const std::string& fingerprint) {
   if (workspace.value(kFramesFingerprint) != fingerprint) {
@@ -169,7 +199,7 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
     workspace.set_value(kDisparities, std::to_string(find_disparities(session, options)));
     workspace.set_value(kFramesFingerprint, fingerprint);
   }
-  const FrameStream stream(session, options, std::stoi(*workspace.value(kDisparities)));
+  const FrameStream stream(session, options, std::stoi(*workspace.value(kDisparities)), known.empty());
 
   motion::MotionChain chain(stream.camera(), options.motion);
   const int first = workspace.frame_count();
@@ -177,15 +207,20 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
   int last_view_submap = -1;
   if (first > 0) {
     spdlog::info("frames: going on behind frame {} of {}", first, session.size());
-    chain.restore(restore_frames(stream, remembered_frames(workspace, chain.kept_views()), session.folder(),
-                                 session.random_access()),
-                  workspace.submap_count());
+    if (known.empty()) {
+      chain.restore(restore_frames(stream, remembered_frames(workspace, chain.kept_views()), session.folder(),
+                                   session.random_access()),
+                    workspace.submap_count());
+    }
     if (const auto view = workspace.last_view_frame()) {
       const auto record = workspace.frame(*view);
       last_view_pose = record->submap_from_cam;
       last_view_submap = record->submap;
     }
   }
+
+  int last_posed = -1;
+  for (const workspace::FrameRecord& record : workspace.last_posed_frames(1)) last_posed = record.frame_idx;
 
   Progress progress(control.progress, "frames", session.size());
   progress.update(first);
@@ -219,16 +254,23 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
       progress.update(item->frame_idx + 1);
       return;
     }
-    const motion::ChainStep step = chain.push(std::move(item->features), item->frame_idx);
+    const motion::ChainStep step = known.empty() ? chain.push(std::move(item->features), item->frame_idx)
+                                                 : known_step(known, item->frame_idx, last_posed);
     ++registered;
     if (step.blind) {
       record.state = workspace::FrameState::blind;
-      record.message = fmt::format("{} usable corners, {} are needed", step.estimate.corners, options.motion.min_used);
-      spdlog::info("frame {} shows too little to be placed: {}", item->frame_idx, record.message);
+      if (known.empty()) {
+        record.message =
+            fmt::format("{} usable corners, {} are needed", step.estimate.corners, options.motion.min_used);
+        spdlog::info("frame {} shows too little to be placed: {}", item->frame_idx, record.message);
+      } else {
+        record.message = "its pose is not among the known ones";
+      }
       workspace.add_frame(record, nullptr);
       progress.update(item->frame_idx + 1);
       return;
     }
+    last_posed = item->frame_idx;
     record.submap = step.submap;
     record.submap_from_cam = step.world_from_cam;
     record.reference_frame = step.reference_frame;
@@ -245,7 +287,7 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
       spdlog::warn("frame {}: no motion against the last {} views; the motion before it is continued as a guess",
                    item->frame_idx, chain.kept_views());
     }
-    if (!options.motion_pictures.empty()) {
+    if (!options.motion_pictures.empty() && known.empty()) {
       write_motion_picture(options.motion_pictures, *chain.view(item->frame_idx), step, item->frame_idx,
                            stream.camera());
     }
@@ -299,14 +341,51 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
 
 }  // namespace
 
-Stage frames_stage(const session::Session& session, const Options& options) {
+KnownPoses known_poses(std::string_view text, const std::filesystem::path& path, const session::Session& session,
+                       const session::SessionOptions& options) {
+  KnownPoses known(static_cast<size_t>(session.size()));
+  Pose left_from_rect = Pose::Identity();
+  left_from_rect.linear() = rectify::Rectifier(session.calibration()).rect_from_left().transpose();
+  if (evaluate::is_kitti(text)) {
+    const auto poses = evaluate::parse_kitti(text, path);
+    for (size_t i = 0; i < known.size(); ++i) {
+      const size_t line = static_cast<size_t>(options.first) + i * static_cast<size_t>(options.stride);
+      if (line < poses.size() && poses[line]) known[i] = *poses[line] * left_from_rect;
+    }
+  } else {
+    evaluate::Trajectory frames;
+    std::map<int64_t, size_t> frame_at;
+    for (int i = 0; i < session.size(); ++i) {
+      frames.push_back({session.stamp_ns(i), Pose::Identity()});
+      frame_at[session.stamp_ns(i)] = static_cast<size_t>(i);
+    }
+    for (const evaluate::PosePair& pair : evaluate::associate(frames, evaluate::parse_tum(text, path))) {
+      known[frame_at.at(pair.stamp_ns)] = pair.truth * left_from_rect;
+    }
+  }
+  const auto count = std::count_if(known.begin(), known.end(), [](const auto& pose) { return pose.has_value(); });
+  if (count < 2) {
+    throw InputError(path, fmt::format("knows the poses of {} of the recording's {} frames", count, known.size()),
+                     "give the poses of this recording, with its time stamps (TUM) or one line a frame (KITTI)");
+  }
+  return known;
+}
+
+Stage frames_stage(const session::Session& session, const Options& options, KnownPoses known) {
+  std::string inputs = session.fingerprint_text();
+  for (size_t i = 0; i < known.size(); ++i) {
+    if (!known[i]) continue;
+    inputs += fmt::format("pose {}:", i);
+    for (const double value : known[i]->matrix().topRows<3>().reshaped()) inputs += fmt::format(" {}", value);
+    inputs += '\n';
+  }
   return {.name = "frames",
           .sections = {"session", "stereo", "motion", "views"},
           .after = {},
-          .inputs = session.fingerprint_text(),
-          .run = [&session, &options](workspace::Workspace& workspace, const RunControl& control,
-                                      const std::string& fingerprint) {
-            return run_frames(session, options, workspace, control, fingerprint);
+          .inputs = inputs,
+          .run = [&session, &options, known = std::move(known)](
+                     workspace::Workspace& workspace, const RunControl& control, const std::string& fingerprint) {
+            return run_frames(session, options, known, workspace, control, fingerprint);
           }};
 }
 

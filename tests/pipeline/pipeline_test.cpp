@@ -1,5 +1,6 @@
 #include "iris/pipeline/pipeline.h"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <spdlog/spdlog.h>
@@ -146,6 +147,48 @@ TEST(FramesStage, InterruptedBehindEveryFrameItGivesTheSamePoses) {
     EXPECT_TRUE(a.motion.covariance == b.motion.covariance) << i;
     EXPECT_EQ(a.reference_frame, b.reference_frame);
   }
+}
+
+TEST(FramesStage, KnownPosesAreThePath) {
+  const TemporaryFolder folder;
+  constexpr int kFrames = 5;
+  iris::testing::write_synthetic_session(folder.path() / "session", kFrames);
+  Options options;
+  options.stereo.disparities = 48;
+  const auto session = session::open_session(folder.path() / "session", options.session);
+  // Any poses: they are not measured. Frame 2 has none.
+  std::string text;
+  std::vector<Pose> poses;
+  for (int i = 0; i < kFrames; ++i) {
+    const Eigen::Quaterniond q(Eigen::AngleAxisd(0.1 * i, Eigen::Vector3d::UnitY()));
+    Pose pose(q);
+    pose.translation() = Eigen::Vector3d(3 + i, 0.2 * i, -1);
+    poses.push_back(pose);
+    if (i == 2) continue;
+    text += fmt::format("{}.{:09} {} {} {} {} {} {} {}\n", session->stamp_ns(i) / 1000000000,
+                        session->stamp_ns(i) % 1000000000, pose.translation().x(), pose.translation().y(),
+                        pose.translation().z(), q.x(), q.y(), q.z(), q.w());
+  }
+  OptionSet set;
+  options.declare(set);
+  auto workspace = workspace::Workspace::create(folder.path() / "out", "s", "f");
+  const KnownPoses known = known_poses(text, "poses.txt", *session, options.session);
+  run_stages({frames_stage(*session, options, known)}, set, workspace, {});
+  Pose left_from_rect = Pose::Identity();
+  left_from_rect.linear() = rectify::Rectifier(session->calibration()).rect_from_left().transpose();
+  for (int i = 0; i < kFrames; ++i) {
+    const auto record = *workspace.frame(i);
+    if (i == 2) {
+      // The truth's neighbours are two frames apart, too far to interpolate.
+      EXPECT_EQ(record.state, workspace::FrameState::blind);
+      continue;
+    }
+    const Pose first = poses[0] * left_from_rect, here = poses[static_cast<size_t>(i)] * left_from_rect;
+    EXPECT_TRUE(record.submap_from_cam.isApprox(first.inverse() * here, 1e-9)) << i;
+    EXPECT_EQ(record.submap, 0);
+    EXPECT_EQ(record.reference_frame, i == 0 ? -1 : i == 3 ? 1 : i - 1);
+  }
+  EXPECT_THROW(known_poses("1.0 0 0 0 0 0 0 1\n", "other.txt", *session, options.session), InputError);
 }
 
 TEST(SummariseFrames, CountsPosesSubMapsAndPath) {

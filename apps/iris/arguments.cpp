@@ -29,6 +29,8 @@ Arguments::Arguments(CLI::App& command, const std::vector<std::string>& sections
   options.declare(set);
   if (std::find(sections.begin(), sections.end(), "simulate") != sections.end()) simulate.declare(set);
   if (std::find(sections.begin(), sections.end(), "measure") != sections.end()) measure.declare(set);
+  if (std::find(sections.begin(), sections.end(), "calibrate") != sections.end()) calibrate.declare(set);
+  if (std::find(sections.begin(), sections.end(), "rectify") != sections.end()) rectify.declare(set);
   command.add_option("--config", config_, "TOML file with options (stereo.disparities = 64); the command line wins")
       ->type_name("FILE")
       ->group("General");

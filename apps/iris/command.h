@@ -12,9 +12,11 @@
 
 #include "export/measurement.h"
 #include "export/products.h"
+#include "iris/calibrate/options.h"
 #include "iris/core/options.h"
 #include "iris/core/progress.h"
 #include "iris/pipeline/pipeline.h"
+#include "iris/rectify/row_check.h"
 #include "iris/simulate/options.h"
 
 namespace iris::app {
@@ -37,9 +39,11 @@ class Arguments {
   void resolve(const std::filesystem::path& saved = {});
 
   exporters::RunOptions options;
-  simulate::SimulateOptions simulate;  // declared if "simulate" is among the sections: no part of a run
-  exporters::MeasureOptions measure;   // declared if "measure" is: likewise
-  OptionSet set;                       // refers to the options above
+  simulate::SimulateOptions simulate;     // declared if "simulate" is among the sections: no part of a run
+  calibrate::CalibrateOptions calibrate;  // declared if "calibrate" is
+  rectify::RowCheckOptions rectify;       // declared if "rectify" is
+  exporters::MeasureOptions measure;      // declared if "measure" is: likewise
+  OptionSet set;                          // refers to the options above
 
   int threads() const;
   pipeline::RunControl control() const;
@@ -62,6 +66,7 @@ inline const CLI::Validator kNotEmpty([](std::string& text) { return text.empty(
 using Command = std::function<int()>;
 Command add_run(CLI::App& program);
 Command add_info(CLI::App& program);
+Command add_calibrate(CLI::App& program);
 Command add_rectify(CLI::App& program);
 Command add_simulate(CLI::App& program);
 Command add_stereo(CLI::App& program);

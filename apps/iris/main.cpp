@@ -48,6 +48,10 @@ int report_parse_error(const CLI::App& program, const CLI::ParseError& error) {
     simulated.declare(set);
     exporters::MeasureOptions measure;
     measure.declare(set);
+    calibrate::CalibrateOptions calibrate;
+    calibrate.declare(set);
+    rectify::RowCheckOptions rectify;
+    rectify.declare(set);
     for (const CLI::App* command : program.get_subcommands()) {
       for (const std::string& extra : command->remaining()) {
         if (!extra.starts_with("--")) continue;
@@ -83,9 +87,11 @@ int run(int argc, char** argv) {
   program.set_version_flag("--version", "iris " IRIS_VERSION);
   program.require_subcommand(1);
   const std::vector<std::pair<std::string, Command>> commands = {
-      {"run", add_run(program)},           {"info", add_info(program)},         {"rectify", add_rectify(program)},
-      {"stereo", add_stereo(program)},     {"export", add_export(program)},     {"tour", add_tour(program)},
-      {"simulate", add_simulate(program)}, {"evaluate", add_evaluate(program)}, {"measure", add_measure(program)},
+      {"run", add_run(program)},           {"info", add_info(program)},
+      {"rectify", add_rectify(program)},   {"stereo", add_stereo(program)},
+      {"export", add_export(program)},     {"tour", add_tour(program)},
+      {"simulate", add_simulate(program)}, {"evaluate", add_evaluate(program)},
+      {"measure", add_measure(program)},   {"calibrate", add_calibrate(program)},
   };
   // CLI11 takes -0.5,1 for a value and -.5,1 for an option.
   std::vector<std::string> arguments(argv + 1, argv + argc);

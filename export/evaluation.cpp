@@ -11,9 +11,11 @@
 #include <set>
 #include <utility>
 
+#include "export/cloud_file.h"
 #include "export/evaluation_files.h"
 #include "export/evaluation_plots.h"
 #include "export/evaluation_sections.h"
+#include "export/mesh_file.h"
 #include "export/trajectory_file.h"
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
@@ -138,6 +140,13 @@ class OutputFolder {
     const TrajectoryErrors errors = evaluate::evaluate_trajectory(main.poses, truth_, request_.trajectory);
     bool ignored = false;
     truth_from_estimate_ = evaluate::align_worlds(errors.pairs, false, ignored).truth_from_estimate;
+    // The truth may be of the camera as recorded, turned a little against the rectified one.
+    Eigen::Matrix3d turns = Eigen::Matrix3d::Zero();
+    for (const evaluate::PosePair& pair : errors.pairs) {
+      turns += pair.truth.linear().transpose() * truth_from_estimate_.linear() * pair.estimate.linear();
+      true_poses_[pair.stamp_ns] = pair.truth;
+    }
+    true_from_rectified_.linear() = nearest_rotation(turns / static_cast<double>(errors.pairs.size()));
 
     FigureSection section = trajectory_section(errors, request_.trajectory, true);
     section.notes.insert(section.notes.begin(), fmt::format("{} against {}", main.path.string(), truth_path.string()));
@@ -172,6 +181,39 @@ class OutputFolder {
       plot_error_picture(request_.plots, fmt::format("disparity_error_{:06}", view->frame_idx),
                          view->disparity.disparity, truth_of(*view, folder).disparity, request_.disparity);
     }
+  }
+
+  // `folder` holds scene.glb, disparity/ and perhaps textured/.
+  void evaluate_cloud(const fs::path& folder) {
+    const fs::path path = request_.estimate / "model" / "cloud.ply";
+    if (!fs::exists(path)) return;
+    constexpr int kStep = 8;  // [px] of the true points that are looked for
+    const auto views = workspace_.views(
+        workspace::Poses::refined, pipeline::summarise_frames(workspace_, workspace::Poses::refined).largest_submap, 0);
+    const int count = static_cast<int>(views->summaries().size());
+    std::vector<std::vector<Eigen::Vector3d>> seen(static_cast<size_t>(count));
+    parallel_chunks(0, count, 1, [&](int i, int) {
+      const views::ViewSummary& view = views->summaries()[static_cast<size_t>(i)];
+      const auto pose = true_poses_.find(stamps_.at(view.frame_idx));
+      const fs::path name = truth_file(folder / "disparity", view.frame_idx);
+      if (pose == true_poses_.end() || !fs::exists(name)) return;
+      const DisparityTruth truth = read_disparity_truth(name, request_.truth_scale);
+      const cv::Mat1b textured = read_mask(truth_file(folder / "textured", view.frame_idx), truth.disparity.size(),
+                                           request_.estimate.string());
+      const Pose world_from_cam = pose->second * true_from_rectified_;
+      for (int y = kStep / 2; y < truth.disparity.rows; y += kStep) {
+        for (int x = kStep / 2; x < truth.disparity.cols; x += kStep) {
+          if (truth.disparity(y, x) <= 0 || (!textured.empty() && textured(y, x) == 0)) continue;
+          seen[static_cast<size_t>(i)].push_back(world_from_cam * view.camera.point(x, y, truth.disparity(y, x)));
+        }
+      }
+    });
+    std::vector<Eigen::Vector3d> all;
+    for (const auto& some : seen) all.insert(all.end(), some.begin(), some.end());
+    const evaluate::CloudOptions options;
+    evaluation_.sections.push_back(cloud_section(
+        evaluate::evaluate_cloud(read_ply(path), truth_from_estimate_, read_meshes(folder / "scene.glb"), all, options),
+        options));
   }
 
   void evaluate_map(const fs::path& plan) {
@@ -433,6 +475,8 @@ class OutputFolder {
   std::map<int, int64_t> stamps_;
   Trajectory truth_;
   Pose truth_from_estimate_ = Pose::Identity();
+  std::map<int64_t, Pose> true_poses_;           // by stamp, as the truth has them
+  Pose true_from_rectified_ = Pose::Identity();  // a turn
 };
 
 void evaluate_output(const EvaluationRequest& request, Evaluation& evaluation) {
@@ -459,6 +503,9 @@ void evaluate_output(const EvaluationRequest& request, Evaluation& evaluation) {
                        "the map is laid on the plan by the path: add it");
     }
     if (is_aligned) output.evaluate_map(folder / "plan.yaml");
+  }
+  if (is_aligned && fs::exists(folder / "scene.glb") && fs::is_directory(folder / "disparity")) {
+    output.evaluate_cloud(folder);
   }
   if (evaluation.sections.empty()) {
     throw InputError(folder, "holds neither trajectory.tum, poses.txt nor disparity/", kGiveTruth);

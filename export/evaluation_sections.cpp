@@ -250,6 +250,28 @@ FigureSection disparity_section(const evaluate::DisparityScore& score, const eva
   return section;
 }
 
+FigureSection cloud_section(const evaluate::CloudErrors& errors, const evaluate::CloudOptions& options) {
+  FigureSection section{.name = "cloud", .title = "Point cloud", .notes = {}, .figures = {}, .tables = {}};
+  section.notes.push_back(fmt::format(
+      "near: measured from within {:g} m; covered: a point within {:g} m of a true point of textured surface "
+      "that a camera saw",
+      options.near_range, options.reach));
+  auto& f = section.figures;
+  f.push_back({"points", "points", count(errors.distance.count), ""});
+  f.push_back({"distance_median", "distance to the true surface, median", errors.distance.median, "m"});
+  f.push_back({"distance_rmse", "distance to the true surface, RMS", errors.distance.rmse, "m"});
+  f.push_back({"near_points", "near points", count(errors.near_distance.count), ""});
+  f.push_back({"near_distance_median", "distance of near points, median", errors.near_distance.median, "m"});
+  f.push_back({"near_distance_rmse", "distance of near points, RMS", errors.near_distance.rmse, "m"});
+  f.push_back({"within_sigma", "points within their stated sigma (68 % expected)", 100 * errors.within_sigma, "%"});
+  f.push_back({"within_two_sigma", "points within twice that (95 % expected)", 100 * errors.within_two_sigma, "%"});
+  f.push_back({"near_within_sigma", "near points within sigma", 100 * errors.near_within_sigma, "%"});
+  f.push_back({"near_within_two_sigma", "near points within two sigma", 100 * errors.near_within_two_sigma, "%"});
+  f.push_back({"true_points", "true points that were seen", count(errors.seen), ""});
+  f.push_back({"covered", "covered", percent(errors.covered, errors.seen), "%"});
+  return section;
+}
+
 FigureSection map_section(const evaluate::MapErrors& errors, double cell, const evaluate::MapOptions& options) {
   FigureSection section{.name = "map", .title = "Map"};
   section.notes.push_back(fmt::format("cells match within {} cell{} of the true plan ({:g} m each) in each direction",

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "export/evaluation_report.h"
+#include "iris/evaluate/cloud.h"
 #include "iris/evaluate/disparities.h"
 #include "iris/evaluate/images.h"
 #include "iris/evaluate/map.h"
@@ -18,6 +19,8 @@ void add_consistency(FigureSection& section, const evaluate::Consistency& motion
                      const evaluate::Consistency& poses);
 
 FigureSection disparity_section(const evaluate::DisparityScore& score, const evaluate::DisparityOptions& options);
+
+FigureSection cloud_section(const evaluate::CloudErrors& errors, const evaluate::CloudOptions& options);
 
 // `cell` [m] of the plan.
 FigureSection map_section(const evaluate::MapErrors& errors, double cell, const evaluate::MapOptions& options);

@@ -12,19 +12,11 @@
 #include <string>
 #include <vector>
 
+#include "export/colours.h"
+
 namespace iris::exporters {
 
 static_assert(std::endian::native == std::endian::little, "glTF stores little-endian numbers");
-
-// Linear light of the 256 sRGB levels (IEC 61966-2-1).
-inline std::array<float, 256> linear_levels() {
-  std::array<float, 256> levels;
-  for (int i = 0; i < 256; ++i) {
-    const double s = i / 255.0;
-    levels[i] = static_cast<float>(s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4));
-  }
-  return levels;
-}
 
 // Appends arrays to the one buffer of the model.
 class ModelBuilder {
@@ -67,13 +59,14 @@ class ModelBuilder {
   }
 
   // Node with a mesh of one primitive, below `parent`.
-  void add_mesh_node(int parent, const std::string& name, const tinygltf::Primitive& primitive) {
+  int add_mesh_node(int parent, const std::string& name, const tinygltf::Primitive& primitive) {
     tinygltf::Mesh mesh;
     mesh.name = name;
     mesh.primitives = {primitive};
     model_.meshes.push_back(mesh);
     const int node = add_node(parent, name);
     model_.nodes[static_cast<size_t>(node)].mesh = static_cast<int>(model_.meshes.size()) - 1;
+    return node;
   }
 
   // parent = -1: the top of the scene.
@@ -104,6 +97,23 @@ class ModelBuilder {
   int add_texture_coordinates(const std::vector<Eigen::Vector2f>& coordinates) {
     return add_array(coordinates.data(), coordinates.size(), sizeof(Eigen::Vector2f), TINYGLTF_TARGET_ARRAY_BUFFER,
                      TINYGLTF_COMPONENT_TYPE_FLOAT, TINYGLTF_TYPE_VEC2);
+  }
+
+  // Of an animation: ascending moments [s], and what is there then.
+  int add_times(const std::vector<float>& times) {
+    const int accessor =
+        add_array(times.data(), times.size(), sizeof(float), 0, TINYGLTF_COMPONENT_TYPE_FLOAT, TINYGLTF_TYPE_SCALAR);
+    model_.accessors.back().minValues = {times.front()};
+    model_.accessors.back().maxValues = {times.back()};
+    return accessor;
+  }
+  int add_vectors(const std::vector<Eigen::Vector3f>& vectors) {
+    return add_array(vectors.data(), vectors.size(), sizeof(vectors[0]), 0, TINYGLTF_COMPONENT_TYPE_FLOAT,
+                     TINYGLTF_TYPE_VEC3);
+  }
+  int add_vectors(const std::vector<Eigen::Vector4f>& vectors) {
+    return add_array(vectors.data(), vectors.size(), sizeof(vectors[0]), 0, TINYGLTF_COMPONENT_TYPE_FLOAT,
+                     TINYGLTF_TYPE_VEC4);
   }
 
   // A repeating texture from an encoded image.

@@ -6,12 +6,15 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <assimp/Exporter.hpp>
 #include <assimp/Importer.hpp>
 #include <cmath>
 #include <map>
+#include <memory>
 #include <opencv2/imgcodecs.hpp>
 #include <sstream>
 
+#include "export/colours.h"
 #include "export/gltf_builder.h"
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
@@ -68,11 +71,6 @@ cv::Mat3b image_beside(const fs::path& model, std::string name) {
 
 uint8_t level_of(double value) { return static_cast<uint8_t>(std::lround(std::clamp(value, 0.0, 1.0) * 255)); }
 
-// glTF's colours are linear light.
-double srgb_of(double linear) {
-  return linear <= 0.0031308 ? 12.92 * linear : 1.055 * std::pow(std::min(linear, 1.0), 1 / 2.4) - 0.055;
-}
-
 Look look_of(const aiScene& scene, const aiMaterial& material, const fs::path& path, bool linear_colours) {
   Look look;
   bool has_colour = false;
@@ -100,7 +98,7 @@ Look look_of(const aiScene& scene, const aiMaterial& material, const fs::path& p
   return look;
 }
 
-TriangleMesh mesh_of(const aiMesh& mesh, const Eigen::Matrix4d& file_from_node, const Look& look) {
+TriangleMesh mesh_of(const aiMesh& mesh, const Eigen::Matrix4d& file_from_node, const Look& look, bool linear_colours) {
   TriangleMesh result{.texture = look.texture, .colour = look.colour};
   for (unsigned i = 0; i < mesh.mNumVertices; ++i) {
     const aiVector3D& v = mesh.mVertices[i];
@@ -114,12 +112,13 @@ TriangleMesh mesh_of(const aiMesh& mesh, const Eigen::Matrix4d& file_from_node, 
   } else {
     result.texture = cv::Mat3b();
   }
-  // One colour for all where there is none of the material: the mean of the vertices'.
   if (result.texture.empty() && mesh.HasVertexColors(0) && mesh.mNumVertices > 0) {
     Eigen::Vector3d sum = Eigen::Vector3d::Zero();
     for (unsigned i = 0; i < mesh.mNumVertices; ++i) {
       const aiColor4D& c = mesh.mColors[0][i];
       sum += Eigen::Vector3d(c.b, c.g, c.r);
+      const auto level = [&](double value) { return level_of(linear_colours ? srgb_of(value) : value); };
+      result.vertex_colours.emplace_back(level(c.b), level(c.g), level(c.r));
     }
     for (int i = 0; i < 3; ++i) result.colour[i] = level_of(sum[i] / mesh.mNumVertices);
   }
@@ -137,16 +136,17 @@ TriangleMesh mesh_of(const aiMesh& mesh, const Eigen::Matrix4d& file_from_node, 
 }
 
 void collect(const aiScene& scene, const aiNode& node, const Eigen::Matrix4d& file_from_parent,
-             const std::vector<Look>& looks, std::vector<TriangleMesh>& meshes) {
+             const std::vector<Look>& looks, bool linear_colours, std::vector<TriangleMesh>& meshes) {
   const Eigen::Matrix4d file_from_node = file_from_parent * matrix_of(node.mTransformation);
   for (unsigned i = 0; i < node.mNumMeshes; ++i) {
     const aiMesh& mesh = *scene.mMeshes[node.mMeshes[i]];
-    TriangleMesh result = mesh_of(mesh, file_from_node, looks.at(mesh.mMaterialIndex));
+    TriangleMesh result = mesh_of(mesh, file_from_node, looks.at(mesh.mMaterialIndex), linear_colours);
     if (result.triangles.empty()) continue;
     result.name = node.mName.length > 0 ? node.mName.C_Str() : mesh.mName.C_Str();
     meshes.push_back(std::move(result));
   }
-  for (unsigned i = 0; i < node.mNumChildren; ++i) collect(scene, *node.mChildren[i], file_from_node, looks, meshes);
+  for (unsigned i = 0; i < node.mNumChildren; ++i)
+    collect(scene, *node.mChildren[i], file_from_node, looks, linear_colours, meshes);
 }
 
 }  // namespace
@@ -174,12 +174,7 @@ std::vector<TriangleMesh> read_meshes(const fs::path& path) {
   std::vector<TriangleMesh> meshes;
   Eigen::Matrix4d world_from_file = Eigen::Matrix4d::Identity();
   if (is_gltf) world_from_file.topLeftCorner<3, 3>() << 1, 0, 0, 0, 0, -1, 0, 1, 0;  // y up -> z up
-  collect(*scene, *scene->mRootNode, world_from_file, looks, meshes);
-  const bool coloured_vertices = std::any_of(scene->mMeshes, scene->mMeshes + scene->mNumMeshes,
-                                             [](const aiMesh* m) { return m->HasVertexColors(0); });
-  if (coloured_vertices && std::all_of(meshes.begin(), meshes.end(), [](const auto& m) { return m.texture.empty(); })) {
-    spdlog::warn("{}: colours of single vertices are not kept; each part gets their mean", path.string());
-  }
+  collect(*scene, *scene->mRootNode, world_from_file, looks, is_gltf, meshes);
   if (meshes.empty())
     throw InputError(path, "has no triangle", "export the model with its faces; points and lines are not enough");
   for (const TriangleMesh& mesh : meshes) {
@@ -229,7 +224,8 @@ tinygltf::Model model_of(const std::vector<TriangleMesh>& meshes, const GlbOptio
       }
       material = found->second;
     } else {
-      const cv::Vec3b& c = mesh.colour;
+      // Colours of vertices are multiplied by the material's.
+      const cv::Vec3b c = mesh.vertex_colours.empty() ? mesh.colour : cv::Vec3b(255, 255, 255);
       const auto [found, added] = materials_of_colours.try_emplace({c[2], c[1], c[0]}, 0);
       if (added) {
         found->second = builder.add_unlit_material("colour " + std::to_string(materials_of_colours.size()),
@@ -240,6 +236,14 @@ tinygltf::Model model_of(const std::vector<TriangleMesh>& meshes, const GlbOptio
     }
     tinygltf::Primitive surface = primitive(TINYGLTF_MODE_TRIANGLES, material, builder.add_positions(mesh.vertices));
     if (textured) surface.attributes["TEXCOORD_0"] = builder.add_texture_coordinates(mesh.texture_coordinates);
+    if (!textured && !mesh.vertex_colours.empty()) {
+      IRIS_CHECK(mesh.vertex_colours.size() == mesh.vertices.size());
+      std::vector<std::array<uint16_t, 4>> colours;
+      for (const cv::Vec3b& c : mesh.vertex_colours) {
+        colours.push_back({linear_16(levels[c[2]]), linear_16(levels[c[1]]), linear_16(levels[c[0]]), 65535});
+      }
+      surface.attributes["COLOR_0"] = builder.add_colours(colours);
+    }
     surface.indices = builder.add_indices(indices);
     builder.add_mesh_node(world, mesh.name, surface);
   }
@@ -261,6 +265,109 @@ std::string encode_glb(const std::vector<TriangleMesh>& meshes, const GlbOptions
 
 void write_glb(const fs::path& path, const std::vector<TriangleMesh>& meshes, const GlbOptions& options) {
   write_file(path, encode_glb(meshes, options));
+}
+
+namespace {
+
+// What assimp exports; it frees what the scene points to.
+std::unique_ptr<aiScene> assimp_scene(const TriangleMesh& mesh, bool with_colours) {
+  auto scene = std::make_unique<aiScene>();
+  // Below a node of its own: the writer of 3MF looks for no other.
+  scene->mRootNode = new aiNode("world");
+  auto* node = new aiNode(mesh.name);
+  scene->mRootNode->addChildren(1, &node);
+  scene->mNumMaterials = 1;
+  scene->mMaterials = new aiMaterial* [1] { new aiMaterial };
+  const aiColor3D white(1, 1, 1);
+  scene->mMaterials[0]->AddProperty(&white, 1, AI_MATKEY_COLOR_DIFFUSE);
+  auto* part = new aiMesh;
+  scene->mNumMeshes = 1;
+  scene->mMeshes = new aiMesh* [1] { part };
+  node->mNumMeshes = 1;
+  node->mMeshes = new unsigned[1]{0};
+  part->mName = mesh.name;
+  part->mPrimitiveTypes = aiPrimitiveType_TRIANGLE;
+  part->mNumVertices = static_cast<unsigned>(mesh.vertices.size());
+  part->mVertices = new aiVector3D[part->mNumVertices];
+  // Several of assimp's writers ask for normals.
+  std::vector<Eigen::Vector3f> normals(mesh.vertices.size(), Eigen::Vector3f::Zero());
+  for (const Eigen::Vector3i& t : mesh.triangles) {
+    const auto corner = [&](int i) { return mesh.vertices[static_cast<size_t>(t[i])]; };
+    const Eigen::Vector3f normal = (corner(1) - corner(0)).cross(corner(2) - corner(0));
+    for (int i = 0; i < 3; ++i) normals[static_cast<size_t>(t[i])] += normal;
+  }
+  part->mNormals = new aiVector3D[part->mNumVertices];
+  if (with_colours) part->mColors[0] = new aiColor4D[part->mNumVertices];
+  for (unsigned i = 0; i < part->mNumVertices; ++i) {
+    const Eigen::Vector3f &v = mesh.vertices[i], n = normals[i].normalized();
+    part->mVertices[i] = {v.x(), v.y(), v.z()};
+    part->mNormals[i] = {n.x(), n.y(), n.z()};
+    if (!with_colours) continue;
+    const cv::Vec3b& c = mesh.vertex_colours[i];
+    part->mColors[0][i] = {static_cast<float>(c[2]) / 255, static_cast<float>(c[1]) / 255,
+                           static_cast<float>(c[0]) / 255, 1};
+  }
+  part->mNumFaces = static_cast<unsigned>(mesh.triangles.size());
+  part->mFaces = new aiFace[part->mNumFaces];
+  for (unsigned i = 0; i < part->mNumFaces; ++i) {
+    part->mFaces[i].mNumIndices = 3;
+    part->mFaces[i].mIndices = new unsigned[3];
+    for (int k = 0; k < 3; ++k) part->mFaces[i].mIndices[k] = static_cast<unsigned>(mesh.triangles[i][k]);
+  }
+  return scene;
+}
+
+// assimp's own binary PLY with colours cannot be read back by its reader.
+std::string encode_ply(const TriangleMesh& mesh) {
+  const bool coloured = !mesh.vertex_colours.empty();
+  std::string bytes =
+      "ply\nformat binary_little_endian 1.0\ncomment IRIS " IRIS_VERSION ", metres, z up\nelement vertex " +
+      std::to_string(mesh.vertices.size()) + "\nproperty float x\nproperty float y\nproperty float z\n" +
+      (coloured ? "property uchar red\nproperty uchar green\nproperty uchar blue\n" : "") + "element face " +
+      std::to_string(mesh.triangles.size()) + "\nproperty list uchar int vertex_indices\nend_header\n";
+  for (size_t i = 0; i < mesh.vertices.size(); ++i) {
+    bytes.append(reinterpret_cast<const char*>(mesh.vertices[i].data()), 3 * sizeof(float));
+    if (!coloured) continue;
+    const cv::Vec3b& bgr = mesh.vertex_colours[i];
+    for (int k = 2; k >= 0; --k) bytes.push_back(static_cast<char>(bgr[k]));
+  }
+  for (const Eigen::Vector3i& triangle : mesh.triangles) {
+    bytes.push_back(3);
+    bytes.append(reinterpret_cast<const char*>(triangle.data()), 3 * sizeof(int));
+  }
+  return bytes;
+}
+
+}  // namespace
+
+void write_mesh(const fs::path& path, const TriangleMesh& mesh) {
+  IRIS_CHECK(mesh.vertex_colours.empty() || mesh.vertex_colours.size() == mesh.vertices.size());
+  const std::string format = path.extension().string();
+  if (format == ".glb") {
+    write_glb(path, {mesh});
+    return;
+  }
+  if (format == ".ply") {
+    write_file(path, encode_ply(mesh));
+    return;
+  }
+  // Name in assimp, and whether vertex colours are written.
+  static const std::map<std::string, std::pair<const char*, bool>> kWriters = {
+      {".obj", {"objnomtl", true}}, {".stl", {"stlb", false}}, {".fbx", {"fbxa", true}},
+      {".3mf", {"3mf", false}},     {".x3d", {"x3d", true}},   {".dae", {"collada", true}}};
+  const auto writer = kWriters.find(format);
+  if (writer == kWriters.end()) {
+    throw UsageError(path.string() + ": surfaces are written as .ply, .obj, .stl, .fbx, .3mf, .x3d, .dae or .glb");
+  }
+  const auto& [name, has_colours] = writer->second;
+  const auto scene = assimp_scene(mesh, has_colours && !mesh.vertex_colours.empty());
+  write_file_with(path, [&, name = name](const fs::path& temporary) {
+    Assimp::Exporter exporter;
+    if (exporter.Export(scene.get(), name, temporary.string()) != AI_SUCCESS) {
+      throw InputError(path, std::string("cannot be written (") + exporter.GetErrorString() + ")",
+                       "check the folder, its permissions and the free space");
+    }
+  });
 }
 
 }  // namespace iris::exporters

@@ -15,7 +15,8 @@ namespace iris::exporters {
 //   * everything is made of triangles; the nodes' transforms are applied; lines and points are left out;
 //   * names are those of the nodes, or of the meshes;
 //   * texture: the colour (diffuse) image of the material, inside the file or beside it, times the material's colour;
-//     an image that is missing or cannot be read gives the material's colour, and a warning.
+//     an image that is missing or cannot be read gives the material's colour, and a warning;
+//   * colours of vertices are kept where there is no texture; `colour` is their mean.
 // Throws InputError if the file is missing, is no model, or has no triangle.
 std::vector<TriangleMesh> read_meshes(const std::filesystem::path& path);
 
@@ -24,12 +25,19 @@ struct GlbOptions {
 };
 
 // Binary glTF of meshes in a z-up world: the node `world` turns z up to glTF's y up; below it a node for each mesh,
-// with its name. Textures repeat; meshes that share a texture share its image. Colours show as they are, whatever the
-// light (KHR_materials_unlit). Meshes without triangles have no node. The same meshes give the same bytes.
+// with its name. Textures repeat; meshes that share a texture share its image. Colours, of vertices too, show as they
+// are, whatever the light (KHR_materials_unlit). Meshes without triangles have no node. The same meshes give the same
+// bytes.
 std::string encode_glb(const std::vector<TriangleMesh>& meshes, const GlbOptions& options = {});
 
 // Throws InputError if the file cannot be written; never leaves half a file.
 void write_glb(const std::filesystem::path& path, const std::vector<TriangleMesh>& meshes,
                const GlbOptions& options = {});
+
+// One surface without texture, as assimp writes it (but for .ply); the format is that of the name: .ply (binary), .obj,
+// .stl (binary), .fbx (text), .3mf, .x3d, .dae; or .glb as above. Metres, z up, but for .glb. Vertex colours where the
+// format has them (not in .stl, .3mf). Throws UsageError for another name, InputError if the file cannot be written;
+// never leaves half a file.
+void write_mesh(const std::filesystem::path& path, const TriangleMesh& mesh);
 
 }  // namespace iris::exporters

@@ -4,11 +4,17 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <cstring>
 #include <ctime>
 #include <filesystem>
+#include <map>
 #include <opencv2/imgcodecs.hpp>
+#include <optional>
+#include <sstream>
 
+#include "export/cloud_file.h"
 #include "export/map_drawing.h"
+#include "export/mesh_file.h"
 #include "export/report_file.h"
 #include "export/tour_files.h"
 #include "export/trajectory_file.h"
@@ -29,6 +35,8 @@ using Files = std::vector<std::string>;
 
 // Views kept in memory while they are read one after the other.
 constexpr size_t kStreamCache = 0;
+// … and while each is compared with those that see the same.
+constexpr size_t kFusionCache = size_t{256} << 20;
 
 std::unique_ptr<views::ViewStore> main_views(const Workspace& workspace, size_t cache_bytes) {
   return workspace.views(Poses::refined, pipeline::summarise_frames(workspace, Poses::refined).largest_submap,
@@ -132,6 +140,98 @@ Files write_maps(const Workspace& workspace, const RunOptions& options, const Ru
   return files_in(workspace.folder(), "map");
 }
 
+// The largest sub-map first; its files have plain names, those of the others name their sub-map.
+struct CloudFile {
+  int submap;
+  fs::path path;  // without extension
+};
+std::vector<CloudFile> cloud_files(const Workspace& workspace) {
+  const int largest = pipeline::summarise_frames(workspace, Poses::refined).largest_submap;
+  std::vector<CloudFile> files = {{largest, workspace.folder() / "model/cloud"}};
+  for (const workspace::WorldRecord& world : workspace.worlds()) {
+    if (world.submap == largest) continue;
+    files.push_back({world.submap, workspace.folder() / fmt::format("model/cloud_submap{}", world.submap)});
+  }
+  return files;
+}
+
+Files write_clouds(const Workspace& workspace, const RunOptions& options, const RunControl& control) {
+  Files written;
+  for (const CloudFile& file : cloud_files(workspace)) {
+    const auto views = workspace.views(Poses::refined, file.submap, kFusionCache);
+    const PointCloud cloud = fuse_cloud(*views, options.cloud, control);
+    fs::path ply = file.path, pcd = file.path;
+    write_ply(ply += ".ply", cloud, options.cloud.ascii);
+    write_pcd(pcd += ".pcd", cloud);
+    written.push_back(fs::relative(ply, workspace.folder()).string());
+    written.push_back(fs::relative(pcd, workspace.folder()).string());
+  }
+  return written;
+}
+
+Files write_meshes(const Workspace& workspace, const RunOptions& options, const RunControl& control) {
+  Files written;
+  const std::vector<std::string> formats = mesh_formats(options.mesh);
+  for (const CloudFile& file : cloud_files(workspace)) {
+    fs::path ply = file.path;
+    const TriangleMesh mesh = surface_of(read_ply(ply += ".ply"), options.mesh, control);
+    if (mesh.triangles.empty()) continue;  // nothing but what stands alone
+    std::string name = file.path.filename().string();
+    name.replace(0, std::strlen("cloud"), "mesh");
+    for (const std::string& format : formats) {
+      if (control.stopped()) throw Interrupted();
+      const fs::path path = workspace.folder() / "model" / (name + "." + format);
+      write_mesh(path, mesh);
+      written.push_back(fs::relative(path, workspace.folder()).string());
+    }
+  }
+  return written;
+}
+
+// map/map.png as its world file places it; nothing if there is none.
+std::optional<GroundPicture> ground_picture(const fs::path& folder) {
+  const fs::path png = folder / "map.png", world = folder / "map.pgw";
+  if (!fs::exists(png) || !fs::exists(world)) return {};
+  std::istringstream text(read_file(world));
+  double cell = 0, zero = 0, down = 0, x = 0, y = 0;  // x, y: the middle of the upper left pixel
+  text >> cell >> zero >> zero >> down >> x >> y;
+  if (!text || cell <= 0) throw InputError(world, "is no world file", "write it again: iris export OUT --only map");
+  GroundPicture ground{.image = cv::imread(png.string(), cv::IMREAD_COLOR)};
+  if (ground.image.empty()) throw InputError(png, "cannot be read", "write it again: iris export OUT --only map");
+  ground.width = cell * ground.image.cols;
+  ground.height = cell * ground.image.rows;
+  ground.x0 = x - cell / 2;
+  ground.y0 = y + cell / 2 - ground.height;
+  return ground;
+}
+
+Files write_scenes(const Workspace& workspace, const RunOptions& options, const RunControl& control) {
+  const int largest = pipeline::summarise_frames(workspace, Poses::refined).largest_submap;
+  const PoseGraph graph = workspace.pose_graph(Poses::refined);
+  std::map<int, std::unique_ptr<views::ViewStore>> stores;
+  std::map<int, PointCloud> clouds;
+  std::vector<ScenePart> parts;
+  for (const CloudFile& file : cloud_files(workspace)) {
+    fs::path ply = file.path;
+    stores[file.submap] = workspace.views(Poses::refined, file.submap, kFusionCache);
+    clouds[file.submap] = read_ply(ply += ".ply");
+    ScenePart part{.submap = file.submap, .views = stores[file.submap].get(), .cloud = &clouds[file.submap]};
+    if (file.submap == largest && !part.views->summaries().empty()) {
+      std::vector<PoseNode> nodes;
+      for (const PoseNode& node : graph.nodes) {
+        if (node.submap == largest) nodes.push_back(node);
+      }
+      part.ground = ground_picture(workspace.folder() / "map");
+      part.tour = recorded_tour(nodes, *part.views, options.library.tour);
+      part.tour_aspect = static_cast<double>(options.library.tour.width) / options.library.tour.height;
+    }
+    parts.push_back(std::move(part));
+  }
+  write_scene(workspace.folder() / "model/scene.glb", graph, parts, options.scene, options.cloud,
+              fs::path(workspace.session_folder()).filename().string(), control);
+  return {"model/scene.glb"};
+}
+
 }  // namespace
 
 mapping::FlogOptions map_options(const Workspace& workspace, const RunOptions& options, int submap) {
@@ -167,17 +267,24 @@ std::vector<Stage> product_stages(const RunOptions& options, const OptionSet& se
                   write_octree(w.folder() / "octree", *main_views(w, kStreamCache), options.octree, control);
                   return files_in(w.folder(), "octree");
                 }},
-      Stage{.name = "scene",
-            .sections = {"scene"},
+      Stage{.name = "cloud",
+            .sections = {"cloud"},
             .after = {"loop"},
             .inputs = {},
-            .run =
-                [&options](Workspace& w, const RunControl& control, const std::string&) {
-                  const auto views = w.views(Poses::refined, -1, kStreamCache);
-                  write_scene(w.folder() / "model/scene.glb", w.pose_graph(Poses::refined), *views, options.scene,
-                              fs::path(w.session_folder()).filename().string(), control);
-                  return Files{"model/scene.glb"};
-                }},
+            .run = [&options](Workspace& w, const RunControl& control,
+                              const std::string&) { return write_clouds(w, options, control); }},
+      Stage{.name = "mesh",
+            .sections = {"mesh"},
+            .after = {"cloud"},
+            .inputs = {},
+            .run = [&options](Workspace& w, const RunControl& control,
+                              const std::string&) { return write_meshes(w, options, control); }},
+      Stage{.name = "scene",
+            .sections = {"cloud", "scene", "tour"},
+            .after = {"map", "cloud"},
+            .inputs = {},
+            .run = [&options](Workspace& w, const RunControl& control,
+                              const std::string&) { return write_scenes(w, options, control); }},
       Stage{.name = "tour",
             .sections = {"render", "tour"},
             .after = {"loop"},
@@ -189,7 +296,7 @@ std::vector<Stage> product_stages(const RunOptions& options, const OptionSet& se
                 }},
       Stage{.name = "report",
             .sections = {},
-            .after = {"trajectory", "map", "octree", "scene", "tour"},
+            .after = {"trajectory", "map", "octree", "cloud", "mesh", "scene", "tour"},
             .inputs = {},
             .run =
                 [&set](Workspace& w, const RunControl&, const std::string&) {

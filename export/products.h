@@ -3,10 +3,12 @@
 
 #include <vector>
 
+#include "export/cloud_fusion.h"
 #include "export/map_file.h"
 #include "export/octree_file.h"
 #include "export/scene_file.h"
 #include "export/sheet_file.h"
+#include "export/surface.h"
 #include "iris/pipeline/options.h"
 #include "iris/pipeline/pipeline.h"
 #include "iris/tour/panorama.h"
@@ -18,6 +20,8 @@ struct RunOptions {
   pipeline::Options library;
   MapFileOptions map;
   OctreeOptions octree;
+  CloudOptions cloud;
+  MeshOptions mesh;
   SceneOptions scene;
   SheetOptions sheet;
   tour::PanoramaOptions panorama;
@@ -26,6 +30,8 @@ struct RunOptions {
     library.declare(set);
     map.declare(set);
     octree.declare(set);
+    cloud.declare(set);
+    mesh.declare(set);
     scene.declare(set);
     sheet.declare(set);
     panorama.declare(set);

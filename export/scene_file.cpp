@@ -6,256 +6,297 @@
 #include <array>
 #include <cmath>
 #include <map>
-#include <memory>
+#include <numbers>
+#include <opencv2/imgcodecs.hpp>
 #include <set>
-#include <vector>
+#include <unordered_map>
 
 #include "export/gltf_builder.h"
+#include "export/scene_surfaces.h"
 #include "iris/core/error.h"
 #include "iris/core/options.h"
-#include "iris/core/parallel.h"
 
 namespace iris::exporters {
 
 void SceneOptions::declare(OptionSet& set) {
   set.section("scene");
-  set.add("voxel", voxel, "m", 0.001, 10,
-          "edge of the cubes that thin the points, one point a cube; smaller shows more detail and makes larger files");
-  set.add("max_range", max_range, "m", 0.1, 10000,
-          "leaves out points farther than this from their camera; their error grows with the square of the distance");
-  set.add("min_disparity", min_disparity, "px", 0.5, 1000,
-          "leaves out points of smaller disparity: they are far away and uncertain");
+  set.add("max_mb", max_mb, "MB", 1, 4000,
+          "largest size of scene.glb: points are thinned, triangles made larger and textures smaller until it fits");
   set.add("max_points", max_points, "", 1000, 50'000'000,
-          "at most so many points; with more, the edge of the cubes is doubled until they fit");
+          "at most so many points; with more, the edge of the cubes that thin them is doubled until they fit");
+  set.add("surfaces", surfaces,
+          "textured surfaces of the views; without them the scene shows points, path and cameras");
+  set.add(
+      "surface_error", surface_error, "", 0.01, 100,
+      "standard deviations of the disparity by which triangles may differ from the measurements; larger makes fewer "
+      "triangles");
+  set.add("min_gain", min_gain, "%", 0, 100,
+          "a view gets a surface if it shows so much more of all places; 0 = every view that shows anything new");
+  set.add("jpeg_quality", jpeg_quality, "", 1, 100, "of the textures");
 }
 
 namespace {
 
-// Weighted sums of the points in each cube. Cubes are kept in the order of their first point; a table with open
-// addressing finds them.
-class VoxelGrid {
+// glTF's cameras look along -z with y up, ours along z with y down.
+Pose gltf_camera(const Pose& world_from_cam) {
+  Pose turned = world_from_cam;
+  turned.linear().col(1) *= -1;
+  turned.linear().col(2) *= -1;
+  return turned;
+}
+
+// One point a cube: that of the least sigma, the first of several. In the order in which the cubes are first touched.
+PointCloud thinned(const PointCloud& cloud, double edge) {
+  PointCloud result{.edge = edge, .points = {}};
+  std::unordered_map<uint64_t, size_t> cubes;
+  for (const CloudPoint& point : cloud.points) {
+    uint64_t key = 0;  // 21 bits an axis
+    for (int i = 0; i < 3; ++i) {
+      key = key << 21 | (static_cast<uint64_t>(static_cast<int64_t>(std::floor(point.position[i] / edge))) & 0x1fffff);
+    }
+    const auto [found, added] = cubes.try_emplace(key, result.points.size());
+    if (added) {
+      result.points.push_back(point);
+    } else if (point.sigma < result.points[found->second].sigma) {
+      result.points[found->second] = point;
+    }
+  }
+  return result;
+}
+
+class SceneBuilder {
  public:
-  struct Cube {
-    std::array<int32_t, 3> key;
-    double weight = 0;
-    Eigen::Vector3d point = Eigen::Vector3d::Zero();   // sum of weight * point
-    Eigen::Vector3f colour = Eigen::Vector3f::Zero();  // sum of weight * linear colour
-  };
+  SceneBuilder()
+      : points_(builder_.add_unlit_material("points", {1, 1, 1})),
+        path_(builder_.add_unlit_material("path", {1, 0.2, 0})),
+        cameras_(builder_.add_unlit_material("cameras", {0, 0.35, 1})),
+        levels_(linear_levels()),
+        world_(builder_.add_world()) {}
 
-  explicit VoxelGrid(double edge) : edge_(edge), slots_(1 << 10, -1) {}
+  tinygltf::Model& model() { return builder_.model(); }
 
-  void add(const Eigen::Vector3d& point, double weight, const Eigen::Vector3f& colour) {
-    std::array<int32_t, 3> key;
-    for (int i = 0; i < 3; ++i) key[i] = static_cast<int32_t>(std::floor(point[i] / edge_));
-    Cube& cube = at(key);
-    cube.weight += weight;
-    cube.point += weight * point;
-    cube.colour += static_cast<float>(weight) * colour;
+  int add_submap(int submap) { return builder_.add_node(world_, "submap_" + std::to_string(submap)); }
+
+  void place(int node, const Pose& pose) {
+    const Eigen::Quaterniond q(pose.linear());
+    const Eigen::Vector3d t = pose.translation();
+    model().nodes[static_cast<size_t>(node)].translation = {t.x(), t.y(), t.z()};
+    model().nodes[static_cast<size_t>(node)].rotation = {q.x(), q.y(), q.z(), q.w()};
   }
 
-  // Cubes of twice the edge: each takes over the sums of the up to eight that it covers.
-  void coarsen() {
-    edge_ *= 2;
-    std::vector<Cube> fine;
-    fine.swap(cubes_);
-    std::fill(slots_.begin(), slots_.end(), -1);
-    for (const Cube& cube : fine) {
-      Cube& coarse = at({cube.key[0] >> 1, cube.key[1] >> 1, cube.key[2] >> 1});
-      coarse.weight += cube.weight;
-      coarse.point += cube.point;
-      coarse.colour += cube.colour;
+  void add_surfaces(int parent, const views::ViewStore& views, const std::vector<SceneSurface>& surfaces) {
+    if (surfaces.empty()) return;
+    const int group = builder_.add_node(parent, "surfaces");
+    for (const SceneSurface& surface : surfaces) {
+      const views::ViewSummary& view = views.summaries()[static_cast<size_t>(surface.view)];
+      const std::string name = frame_name("surface", view.frame_idx);
+      const int material = builder_.add_unlit_material(name, {1, 1, 1});
+      const int texture = builder_.add_texture(surface.jpeg, "image/jpeg");
+      model().materials.back().pbrMetallicRoughness.baseColorTexture.index = texture;
+      std::vector<uint32_t> indices;
+      for (const Eigen::Vector3i& t : surface.mesh.triangles) {
+        for (int i = 0; i < 3; ++i) indices.push_back(static_cast<uint32_t>(t[i]));
+      }
+      tinygltf::Primitive triangles =
+          primitive(TINYGLTF_MODE_TRIANGLES, material, builder_.add_positions(surface.mesh.vertices));
+      triangles.attributes["TEXCOORD_0"] = builder_.add_texture_coordinates(surface.mesh.texture_coordinates);
+      triangles.indices = builder_.add_indices(indices);
+      place(builder_.add_mesh_node(group, name, triangles), view.world_from_cam);
     }
   }
 
-  const std::vector<Cube>& cubes() const { return cubes_; }
-
- private:
-  static size_t hash(const std::array<int32_t, 3>& key) {
-    uint64_t h = static_cast<uint32_t>(key[0]) * 0x9E3779B97F4A7C15ull;
-    h = (h ^ static_cast<uint32_t>(key[1])) * 0xC2B2AE3D27D4EB4Full;
-    h = (h ^ (h >> 29) ^ static_cast<uint32_t>(key[2])) * 0x165667B19E3779F9ull;
-    return static_cast<size_t>(h ^ (h >> 32));
-  }
-
-  size_t slot_of(const std::array<int32_t, 3>& key) const {
-    size_t slot = hash(key) & (slots_.size() - 1);
-    while (slots_[slot] >= 0 && cubes_[static_cast<size_t>(slots_[slot])].key != key) {
-      slot = (slot + 1) & (slots_.size() - 1);
+  void add_cloud(int parent, const PointCloud& cloud) {
+    if (cloud.points.empty()) return;
+    std::vector<Eigen::Vector3f> positions;
+    std::vector<std::array<uint16_t, 4>> colours;
+    for (const CloudPoint& point : cloud.points) {
+      positions.push_back(point.position);
+      std::array<uint16_t, 4> colour{0, 0, 0, 65535};
+      for (size_t i = 0; i < 3; ++i) colour[i] = linear_16(levels_[point.rgb[i]]);
+      colours.push_back(colour);
     }
-    return slot;
+    tinygltf::Primitive points = primitive(TINYGLTF_MODE_POINTS, points_, builder_.add_positions(positions));
+    points.attributes["COLOR_0"] = builder_.add_colours(colours);
+    builder_.add_mesh_node(parent, "cloud", points);
   }
 
-  Cube& at(const std::array<int32_t, 3>& key) {
-    const size_t slot = slot_of(key);
-    if (slots_[slot] >= 0) return cubes_[static_cast<size_t>(slots_[slot])];
-    slots_[slot] = static_cast<int32_t>(cubes_.size());
-    cubes_.push_back({.key = key});
-    if (2 * cubes_.size() > slots_.size()) {
-      slots_.assign(2 * slots_.size(), -1);
-      for (size_t i = 0; i < cubes_.size(); ++i) slots_[slot_of(cubes_[i].key)] = static_cast<int32_t>(i);
-    }
-    return cubes_.back();
+  void add_path(int parent, const std::vector<Eigen::Vector3f>& path) {
+    if (path.size() < 2) return;
+    builder_.add_mesh_node(parent, "path", primitive(TINYGLTF_MODE_LINE_STRIP, path_, builder_.add_positions(path)));
   }
 
-  double edge_;
-  std::vector<int32_t> slots_;  // a power of two of them; index of the cube, -1 = free
-  std::vector<Cube> cubes_;
-};
-
-// Red, green, blue.
-Eigen::Vector3f linear_colour(const cv::Mat& image, int y, int x, const std::array<float, 256>& levels) {
-  if (image.type() == CV_8UC1) return Eigen::Vector3f::Constant(levels[image.at<uchar>(y, x)]);
-  const cv::Vec3b& bgr = image.at<cv::Vec3b>(y, x);
-  return {levels[bgr[2]], levels[bgr[1]], levels[bgr[0]]};
-}
-
-void add_points(const StereoView& view, const SceneOptions& options, const std::array<float, 256>& levels,
-                VoxelGrid& grid) {
-  const RectifiedCamera& camera = view.camera;
-  IRIS_CHECK(view.image.type() == CV_8UC1 || view.image.type() == CV_8UC3);
-  IRIS_CHECK(view.image.size() == view.disparity.disparity.size());
-  for (int y = 0; y < view.disparity.disparity.rows; ++y) {
-    for (int x = 0; x < view.disparity.disparity.cols; ++x) {
-      const float d = view.disparity.at(y, x, DisparityOrigin::within_segment);
-      if (d <= 0 || d + camera.disparity_offset < options.min_disparity) continue;
-      const Eigen::Vector3d point_in_cam = camera.point(x, y, d);
-      const double range = point_in_cam.norm();
-      if (range > options.max_range) continue;
-      // (4.24) without its constant factor.
-      const double error = point_in_cam.z() * range / (camera.f * camera.baseline);
-      grid.add(view.world_from_cam * point_in_cam, 1 / (error * error), linear_colour(view.image, y, x, levels));
-    }
-  }
-}
-
-struct ThinnedPoints {
-  std::map<int, VoxelGrid> submaps;
-  double edge = 0;  // [m]
-};
-
-ThinnedPoints thin_points(const views::ViewStore& views, const SceneOptions& options,
-                          const pipeline::RunControl& control) {
-  ThinnedPoints points{.submaps = {}, .edge = options.voxel};
-  const std::array<float, 256> levels = linear_levels();
-  const int count = static_cast<int>(views.summaries().size());
-  constexpr int kBatch = 8;  // views decoded at the same time; added one after the other, in order
-  Progress progress(control.progress, "scene", count);
-  for (int begin = 0; begin < count; begin += kBatch) {
-    const int end = std::min(begin + kBatch, count);
-    std::vector<std::shared_ptr<const StereoView>> batch(static_cast<size_t>(end - begin));
-    parallel_chunks(begin, end, 1, [&](int i, int) { batch[static_cast<size_t>(i - begin)] = views.load(i); });
-    for (const auto& view : batch) {
-      if (control.stopped()) throw Interrupted();
-      add_points(*view, options, levels, points.submaps.try_emplace(view->submap, points.edge).first->second);
-      const auto total = [&] {
-        size_t sum = 0;
-        for (const auto& [submap, grid] : points.submaps) sum += grid.cubes().size();
-        return sum;
-      };
-      while (total() > static_cast<size_t>(options.max_points) && points.edge < 1000) {
-        for (auto& [submap, grid] : points.submaps) grid.coarsen();
-        points.edge *= 2;
+  // Pyramids over the image's corners, from the optical centre to the depth of one baseline; below them the cameras.
+  void add_cameras(int parent, const std::vector<views::ViewSummary>& views) {
+    if (views.empty()) return;
+    std::vector<Eigen::Vector3f> positions;
+    std::vector<uint32_t> indices;
+    for (const views::ViewSummary& view : views) {
+      const RectifiedCamera& camera = view.camera;
+      const uint32_t apex = static_cast<uint32_t>(positions.size());
+      positions.push_back(view.world_from_cam.translation().cast<float>());
+      for (uint32_t corner = 0; corner < 4; ++corner) {
+        const double x = (corner == 1 || corner == 2 ? camera.width : 0) - 0.5,
+                     y = (corner >= 2 ? camera.height : 0) - 0.5;
+        const double s = camera.baseline / camera.f;
+        const Eigen::Vector3d in_cam(s * (x - camera.cx), s * (y - camera.cy), camera.baseline);
+        positions.push_back((view.world_from_cam * in_cam).cast<float>());
+        indices.insert(indices.end(), {apex, apex + 1 + corner, apex + 1 + corner, apex + 1 + (corner + 1) % 4});
       }
     }
-    progress.update(end);
+    tinygltf::Primitive lines = primitive(TINYGLTF_MODE_LINE, cameras_, builder_.add_positions(positions));
+    lines.indices = builder_.add_indices(indices);
+    const int group = builder_.add_mesh_node(parent, "cameras", lines);
+    const RectifiedCamera& first = views.front().camera;
+    const int lens = add_camera("recording", 2 * std::atan(first.height / (2 * first.f)),
+                                static_cast<double>(first.width) / first.height, first.baseline / 10);
+    for (const views::ViewSummary& view : views) {
+      const int node = builder_.add_node(group, frame_name("camera", view.frame_idx));
+      place(node, gltf_camera(view.world_from_cam));
+      model().nodes[static_cast<size_t>(node)].camera = lens;
+    }
   }
-  if (points.edge > options.voxel) {
-    spdlog::info("scene: cubes of {} m instead of {} m, to stay within scene.max_points = {}", points.edge,
-                 options.voxel, options.max_points);
-  }
-  return points;
-}
 
-struct Materials {
-  int points, path, cameras;
+  void add_ground(int parent, const GroundPicture& ground) {
+    std::vector<unsigned char> bytes;
+    IRIS_CHECK(cv::imencode(".png", ground.image, bytes));
+    const int material = builder_.add_unlit_material("map", {1, 1, 1});
+    const int texture = builder_.add_texture(bytes, "image/png");
+    model().materials.back().pbrMetallicRoughness.baseColorTexture.index = texture;
+    model().materials.back().doubleSided = true;
+    const auto x0 = static_cast<float>(ground.x0), y0 = static_cast<float>(ground.y0),
+               x1 = static_cast<float>(ground.x0 + ground.width), y1 = static_cast<float>(ground.y0 + ground.height);
+    tinygltf::Primitive plane = primitive(TINYGLTF_MODE_TRIANGLES, material,
+                                          builder_.add_positions({{x0, y0, 0}, {x1, y0, 0}, {x1, y1, 0}, {x0, y1, 0}}));
+    plane.attributes["TEXCOORD_0"] = builder_.add_texture_coordinates({{0, 1}, {1, 1}, {1, 0}, {0, 0}});
+    plane.indices = builder_.add_indices({0, 1, 2, 0, 2, 3});
+    builder_.add_mesh_node(parent, "map", plane);
+  }
+
+  void add_tour(int parent, const CameraPath& tour, double aspect) {
+    if (tour.keyframes.size() < 2) return;
+    const int node = builder_.add_node(parent, "tour");
+    place(node, gltf_camera(tour.keyframes.front().world_from_cam));
+    model().nodes[static_cast<size_t>(node)].camera = add_camera("tour", tour.keyframes.front().fov, aspect, kTourNear);
+    std::vector<float> times;
+    std::vector<Eigen::Vector3f> places;
+    std::vector<Eigen::Vector4f> turns;
+    for (const CameraKeyframe& key : tour.keyframes) {
+      times.push_back(static_cast<float>(key.t - tour.keyframes.front().t));
+      places.push_back(key.world_from_cam.translation().cast<float>());
+      Eigen::Vector4d turn = Eigen::Quaterniond(gltf_camera(key.world_from_cam).linear()).coeffs();
+      // The shorter way round.
+      if (!turns.empty() && turns.back().cast<double>().dot(turn) < 0) turn = -turn;
+      turns.push_back(turn.normalized().cast<float>());
+    }
+    tinygltf::Animation animation;
+    animation.name = "tour";
+    const int input = builder_.add_times(times);
+    for (const auto& [path, output] :
+         {std::pair("translation", builder_.add_vectors(places)), std::pair("rotation", builder_.add_vectors(turns))}) {
+      tinygltf::AnimationSampler sampler;
+      sampler.input = input;
+      sampler.output = output;
+      sampler.interpolation = "LINEAR";
+      tinygltf::AnimationChannel channel;
+      channel.sampler = static_cast<int>(animation.samplers.size());
+      channel.target_node = node;
+      channel.target_path = path;
+      animation.samplers.push_back(sampler);
+      animation.channels.push_back(channel);
+    }
+    model().animations.push_back(animation);
+  }
+
+ private:
+  static constexpr double kTourNear = 0.05, kFar = 1000;  // [m]
+
+  static std::string frame_name(const std::string& what, int frame_idx) {
+    std::string digits = std::to_string(frame_idx);
+    if (digits.size() < 6) digits.insert(0, 6 - digits.size(), '0');
+    return what + "_" + digits;
+  }
+
+  int add_camera(const std::string& name, double yfov, double aspect, double near) {
+    tinygltf::Camera camera;
+    camera.name = name;
+    camera.type = "perspective";
+    camera.perspective.yfov = yfov;
+    camera.perspective.aspectRatio = aspect;
+    camera.perspective.znear = near;
+    camera.perspective.zfar = kFar;
+    model().cameras.push_back(camera);
+    return static_cast<int>(model().cameras.size()) - 1;
+  }
+
+  ModelBuilder builder_;
+  int points_, path_, cameras_;  // materials
+  std::array<float, 256> levels_;
+  int world_;
 };
-
-void add_point_node(ModelBuilder& builder, int parent, int material, const VoxelGrid& grid) {
-  std::vector<Eigen::Vector3f> positions;
-  std::vector<std::array<uint16_t, 4>> colours;
-  positions.reserve(grid.cubes().size());
-  colours.reserve(grid.cubes().size());
-  for (const VoxelGrid::Cube& cube : grid.cubes()) {
-    positions.push_back((cube.point / cube.weight).cast<float>());
-    const Eigen::Vector3d colour = cube.colour.cast<double>() / cube.weight;
-    std::array<uint16_t, 4> levels;
-    for (int i = 0; i < 3; ++i) {
-      levels[i] = static_cast<uint16_t>(std::lround(std::clamp(colour[i], 0.0, 1.0) * 65535));
-    }
-    levels[3] = 65535;
-    colours.push_back(levels);
-  }
-  tinygltf::Primitive points = primitive(TINYGLTF_MODE_POINTS, material, builder.add_positions(positions));
-  points.attributes["COLOR_0"] = builder.add_colours(colours);
-  builder.add_mesh_node(parent, "points", points);
-}
-
-void add_path_node(ModelBuilder& builder, int parent, int material, const std::vector<Eigen::Vector3f>& path) {
-  builder.add_mesh_node(parent, "path", primitive(TINYGLTF_MODE_LINE_STRIP, material, builder.add_positions(path)));
-}
-
-// Pyramids over the image's corners, from the optical centre to the depth of one baseline.
-void add_camera_node(ModelBuilder& builder, int parent, int material,
-                     const std::vector<const views::ViewSummary*>& views) {
-  std::vector<Eigen::Vector3f> positions;
-  std::vector<uint32_t> indices;
-  for (const views::ViewSummary* view : views) {
-    const RectifiedCamera& camera = view->camera;
-    const uint32_t apex = static_cast<uint32_t>(positions.size());
-    positions.push_back(view->world_from_cam.translation().cast<float>());
-    for (uint32_t corner = 0; corner < 4; ++corner) {
-      const double x = (corner == 1 || corner == 2 ? camera.width : 0) - 0.5,
-                   y = (corner >= 2 ? camera.height : 0) - 0.5;
-      const double s = camera.baseline / camera.f;
-      const Eigen::Vector3d in_cam(s * (x - camera.cx), s * (y - camera.cy), camera.baseline);
-      positions.push_back((view->world_from_cam * in_cam).cast<float>());
-      indices.insert(indices.end(), {apex, apex + 1 + corner, apex + 1 + corner, apex + 1 + (corner + 1) % 4});
-    }
-  }
-  tinygltf::Primitive cameras = primitive(TINYGLTF_MODE_LINE, material, builder.add_positions(positions));
-  cameras.indices = builder.add_indices(indices);
-  builder.add_mesh_node(parent, "cameras", cameras);
-}
 
 }  // namespace
 
-void write_scene(const std::filesystem::path& glb, const PoseGraph& graph, const views::ViewStore& views,
-                 const SceneOptions& options, const std::string& session_name, const pipeline::RunControl& control) {
-  const ThinnedPoints points = thin_points(views, options, control);
-  if (control.stopped()) throw Interrupted();
+void write_scene(const std::filesystem::path& glb, const PoseGraph& graph, const std::vector<ScenePart>& parts,
+                 const SceneOptions& options, const CloudOptions& cloud_options, const std::string& session_name,
+                 const pipeline::RunControl& control) {
+  constexpr size_t kPointBytes = 20;
+  constexpr double kCloudShare = 1.0 / 3, kReserve = 0.05;  // of the file; the reserve is for all small things
+  const double budget = options.max_mb * 1e6;
+  const auto most_points =
+      std::min(static_cast<size_t>(options.max_points), static_cast<size_t>(kCloudShare * budget / kPointBytes));
+  double edge = 0;
+  const auto total = [](const std::map<int, PointCloud>& clouds) {
+    size_t sum = 0;
+    for (const auto& [submap, cloud] : clouds) sum += cloud.points.size();
+    return sum;
+  };
+  std::map<int, PointCloud> clouds;
+  for (const ScenePart& part : parts) {
+    if (!part.cloud) continue;
+    clouds[part.submap] = *part.cloud;
+    edge = std::max(edge, part.cloud->edge);
+  }
+  while (total(clouds) > most_points && edge < 1000) {
+    edge *= 2;
+    for (auto& [submap, cloud] : clouds) cloud = thinned(cloud, edge);
+  }
+
   std::map<int, std::vector<Eigen::Vector3f>> paths;
-  std::map<int, std::vector<const views::ViewSummary*>> cameras;
-  std::set<int> submaps;
   for (const PoseNode& node : graph.nodes) {
     paths[node.submap].push_back(node.world_from_cam.translation().cast<float>());
-    submaps.insert(node.submap);
   }
-  for (const views::ViewSummary& view : views.summaries()) {
-    cameras[view.submap].push_back(&view);
-    submaps.insert(view.submap);
-  }
+  size_t all_views = 0;
+  for (const ScenePart& part : parts) all_views += part.views ? part.views->summaries().size() : 0;
+  const double surface_budget = (1 - kReserve) * budget - static_cast<double>(kPointBytes * total(clouds));
 
-  ModelBuilder builder;
-  const Materials materials{.points = builder.add_unlit_material("points", {1, 1, 1}),
-                            .path = builder.add_unlit_material("path", {1, 0.2, 0}),
-                            .cameras = builder.add_unlit_material("cameras", {0, 0.35, 1})};
-  const int world = builder.add_world();
-
+  SceneBuilder builder;
   double right = 0;  // [m] where the next sub-map begins in x
-  for (const int submap : submaps) {
-    const int node = builder.add_node(world, "submap_" + std::to_string(submap));
-    Eigen::AlignedBox3d box;
-    const auto grid = points.submaps.find(submap);
-    if (grid != points.submaps.end() && !grid->second.cubes().empty()) {
-      add_point_node(builder, node, materials.points, grid->second);
-      for (const VoxelGrid::Cube& cube : grid->second.cubes()) box.extend(Eigen::Vector3d(cube.point / cube.weight));
+  int kept_views = 0;
+  for (const ScenePart& part : parts) {
+    const int node = builder.add_submap(part.submap);
+    const std::vector<views::ViewSummary> views =
+        part.views ? part.views->summaries() : std::vector<views::ViewSummary>{};
+    if (options.surfaces && !views.empty()) {
+      const auto share =
+          static_cast<size_t>(surface_budget * static_cast<double>(views.size()) / static_cast<double>(all_views));
+      const std::vector<SceneSurface> surfaces = scene_surfaces(*part.views, options, cloud_options, share, control);
+      builder.add_surfaces(node, *part.views, surfaces);
+      kept_views += static_cast<int>(surfaces.size());
     }
-    for (const Eigen::Vector3f& p : paths[submap]) box.extend(p.cast<double>());
-    for (const views::ViewSummary* view : cameras[submap]) box.extend(view->world_from_cam.translation());
-    if (paths[submap].size() >= 2) add_path_node(builder, node, materials.path, paths[submap]);
-    if (!cameras[submap].empty()) add_camera_node(builder, node, materials.cameras, cameras[submap]);
+    const PointCloud& cloud = clouds[part.submap];
+    builder.add_cloud(node, cloud);
+    builder.add_path(node, paths[part.submap]);
+    builder.add_cameras(node, views);
+    if (part.ground) builder.add_ground(node, *part.ground);
+    builder.add_tour(node, part.tour, part.tour_aspect);
+
+    Eigen::AlignedBox3f box;
+    for (const CloudPoint& point : cloud.points) box.extend(point.position);
+    for (const Eigen::Vector3f& place : paths[part.submap]) box.extend(place);
+    for (const views::ViewSummary& view : views) box.extend(view.world_from_cam.translation().cast<float>().eval());
+    if (box.isEmpty()) continue;
     // Side by side, with a gap of one metre.
-    if (submap != *submaps.begin()) {
+    if (part.submap != parts.front().submap) {
       const double shift = right + 1 - box.min().x();
       builder.model().nodes[static_cast<size_t>(node)].translation = {shift, 0, 0};
       right = box.max().x() + shift;
@@ -263,6 +304,7 @@ void write_scene(const std::filesystem::path& glb, const PoseGraph& graph, const
       right = box.max().x();
     }
   }
+  if (control.stopped()) throw Interrupted();
 
   tinygltf::Model& model = builder.model();
   if (model.buffers[0].data.empty()) model.buffers.clear();
@@ -275,7 +317,8 @@ void write_scene(const std::filesystem::path& glb, const PoseGraph& graph, const
       {"units", tinygltf::Value(std::string("m"))},
       {"up", tinygltf::Value(std::string("y at the top of the scene; z below the node 'world'"))},
       {"submaps", tinygltf::Value(std::string("no known relation to each other; shown side by side along x"))},
-      {"voxel", tinygltf::Value(points.edge)}});
+      {"surface_views", tinygltf::Value(kept_views)},
+      {"voxel", tinygltf::Value(edge)}});
   write_glb(glb, model);
 }
 

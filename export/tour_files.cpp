@@ -34,10 +34,11 @@ using workspace::Workspace;
 constexpr size_t kCache = size_t{256} << 20;
 
 // Where nothing was measured (a recording of bare walls): the distance at which a stereo camera sees well.
-double depth_or_usual(const views::ViewStore& views, int submap) {
+double depth_or_usual(const views::ViewStore& views) {
   constexpr double kUsualDepth = 20;  // [baselines]
-  const double depth = tour::scene_depth(views, submap);
-  return depth > 0 ? depth : kUsualDepth * views.summaries().front().camera.baseline;
+  const views::ViewSummary& first = views.summaries().front();
+  const double depth = tour::scene_depth(views, first.submap);
+  return depth > 0 ? depth : kUsualDepth * first.camera.baseline;
 }
 
 // What a tour needs to know of the run.
@@ -88,10 +89,10 @@ struct Planned {
 
 Planned plan(const TourRequest& request, const Scene& scene, tour::TourOptions& options) {
   if (request.path == "along") {
-    return {tour::along(scene.nodes, options, depth_or_usual(*scene.views, scene.submap)), {}};
+    return {recorded_tour(scene.nodes, *scene.views, options), {}};
   }
   if (request.path == "follow" || request.path == "fixed") {
-    const double distance = options.distance > 0 ? options.distance : depth_or_usual(*scene.views, scene.submap);
+    const double distance = options.distance > 0 ? options.distance : depth_or_usual(*scene.views);
     return {tour::follow(scene.nodes, options, distance, request.path == "fixed"), {}};
   }
   if (request.path == "walk") {
@@ -338,6 +339,11 @@ TourResult write_tour(const Workspace& workspace, const RunOptions& options, con
     if (!request.keep_frames) FrameFolder::remove(work);
   }
   return result;
+}
+
+CameraPath recorded_tour(const std::vector<PoseNode>& nodes, const views::ViewStore& views,
+                         const tour::TourOptions& options) {
+  return tour::along(nodes, options, depth_or_usual(views));
 }
 
 void write_run_tour(const Workspace& workspace, const RunOptions& options, const RunControl& control) {

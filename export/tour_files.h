@@ -38,6 +38,10 @@ struct TourResult {
 TourResult write_tour(const workspace::Workspace& workspace, const RunOptions& options, const TourRequest& request,
                       const pipeline::RunControl& control);
 
+// Its camera path: behind and above the recording camera. `nodes`: the poses of one sub-map, `views`: those of it.
+CameraPath recorded_tour(const std::vector<PoseNode>& nodes, const views::ViewStore& views,
+                         const tour::TourOptions& options);
+
 // The tour of a run: OUT/tour/tour.mp4 along the recorded path, and its pictures in OUT/tour/frames.
 void write_run_tour(const workspace::Workspace& workspace, const RunOptions& options,
                     const pipeline::RunControl& control);

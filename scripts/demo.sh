@@ -46,6 +46,7 @@ look() {
 look report/index.html "everything on one page, in a browser"
 look map/map.png "the map; map_picture.png with scale and path, map.yaml for ROS"
 look model/scene.glb "the 3-D scene, in any glTF viewer"
+look model/cloud.ply "the points, with their errors, in MeshLab or CloudCompare; mesh.ply is their surface"
 look octree/map.bt "the octree, in octovis"
 look tour/tour.mp4 "the virtual tour"
 look trajectory/tum.txt "the path of the camera"

@@ -9,7 +9,7 @@ build=(
   libceres-dev libeigen3-dev libembree-dev libfmt-dev libhwy-dev libopencv-dev libspdlog-dev libsqlite3-dev libtbb-dev
   libtomlplusplus-dev libyaml-cpp-dev nlohmann-json3-dev
 )
-export_and_program=(ffmpeg fonts-dejavu-core libassimp-dev libcairo2-dev libcli11-dev liboctomap-dev libtinygltf-dev)
+export_and_program=(ffmpeg fonts-dejavu-core libassimp-dev libcairo2-dev libcli11-dev liboctomap-dev libpcl-dev libtinygltf-dev)
 tests=(clang-format-14 libbenchmark-dev libgmock-dev libgtest-dev octomap-tools poppler-utils)
 
 wanted=("${build[@]}" "${export_and_program[@]}")

@@ -16,7 +16,8 @@ namespace iris::app {
 namespace {
 
 struct Export {
-  explicit Export(CLI::App& command) : arguments(command, {"mapping", "map", "sheet", "octree", "scene"}) {}
+  explicit Export(CLI::App& command)
+      : arguments(command, {"mapping", "map", "sheet", "octree", "cloud", "mesh", "scene", "tour"}) {}
   std::string out;
   std::vector<std::string> only;
   Arguments arguments;
@@ -30,6 +31,8 @@ struct Product {
 const std::vector<Product> kProducts = {{"trajectory", "trajectory"},
                                         {"map", "map"},
                                         {"octree", "octree"},
+                                        {"cloud", "cloud"},
+                                        {"mesh", "mesh"},
                                         {"gltf", "scene"},
                                         {"report", "report"},
                                         {"colmap", "colmap", false},

@@ -103,7 +103,8 @@ void print_output(const workspace::Workspace& workspace) {
   for (const workspace::WorldRecord& world : workspace.worlds()) {
     fmt::print("up           sub-map {}: {}\n", world.submap, world.alignment);
   }
-  for (const char* name : {"frames", "loop", "trajectory", "map", "octree", "scene", "tour", "report"}) {
+  for (const char* name :
+       {"frames", "loop", "trajectory", "map", "octree", "cloud", "mesh", "scene", "tour", "report"}) {
     const auto record = workspace.stage(name);
     fmt::print("stage        {:<10} {}\n", name, record ? "done" : "not finished");
     if (!record) continue;

@@ -22,7 +22,7 @@ namespace {
 struct Run {
   explicit Run(CLI::App& command)
       : arguments(command, {"session", "stereo", "motion", "views", "loop", "mapping", "map", "sheet", "octree",
-                            "scene", "render", "tour"}) {}
+                            "cloud", "mesh", "scene", "render", "tour"}) {}
   std::string session, out, poses;
   bool debug_motion = false;
   Arguments arguments;

@@ -109,6 +109,9 @@ TEST_F(Cli, RunWritesEveryProduct) {
                            "map/sheet.png",
                            "octree/map.bt",
                            "octree/map.ot",
+                           "model/cloud.ply",
+                           "model/cloud.pcd",
+                           "model/mesh.ply",
                            "model/scene.glb",
                            "tour/tour.mp4",
                            "tour/frames/000000.png",
@@ -201,19 +204,19 @@ TEST_F(Cli, ChangedOptionsRedoTheirStageAndNothingBefore) {
   const fs::path out = fresh("changed");
   fs::copy(reference(), out, fs::copy_options::recursive);
   const auto frames_time = fs::last_write_time(out / "views/000000.left.png");
-  const auto scene_time = fs::last_write_time(out / "model/scene.glb");
+  const auto cloud_time = fs::last_write_time(out / "model/cloud.ply");
   const auto map_time = fs::last_write_time(out / "map/map.pgm");
   auto arguments = run_arguments(session(), out, {"--mapping.cell", "0.1"});
   ASSERT_EQ(run_program(arguments).exit_code, 0);
   EXPECT_EQ(fs::last_write_time(out / "views/000000.left.png"), frames_time);
-  EXPECT_EQ(fs::last_write_time(out / "model/scene.glb"), scene_time);
+  EXPECT_EQ(fs::last_write_time(out / "model/cloud.ply"), cloud_time);
   EXPECT_NE(fs::last_write_time(out / "map/map.pgm"), map_time);
   EXPECT_THAT(read_file(out / "map/map.yaml"), HasSubstr("resolution: 0.1"));
 
   // An option of the matcher changes everything.
   ASSERT_EQ(run_program(run_arguments(session(), out, {"--stereo.min_segment", "50"})).exit_code, 0);
   EXPECT_NE(fs::last_write_time(out / "views/000000.left.png"), frames_time);
-  EXPECT_NE(fs::last_write_time(out / "model/scene.glb"), scene_time);
+  EXPECT_NE(fs::last_write_time(out / "model/cloud.ply"), cloud_time);
 
   // And back: equal to the first result again.
   ASSERT_EQ(run_program(run_arguments(session(), out)).exit_code, 0);

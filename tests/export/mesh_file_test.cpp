@@ -5,6 +5,7 @@
 #include <tiny_gltf.h>
 
 #include <Eigen/Geometry>
+#include <cmath>
 #include <cstdlib>
 #include <limits>
 #include <opencv2/imgcodecs.hpp>
@@ -192,6 +193,50 @@ TEST_F(MeshFile, SaysWhatIsWrongWithAFile) {
                                "float z\nend_header\n0 0 0\n1 1 1\n");
   EXPECT_THAT(message(points), HasSubstr("points.ply"));
   EXPECT_THROW(write_glb(folder_ / "text.txt" / "a.glb", two_meshes()), InputError);
+}
+
+// Each format is read back by assimp: the same number of triangles, the same box, colours where the format has them.
+TEST_F(MeshFile, SurfacesInEveryFormatAreReadBack) {
+  TriangleMesh ridge{.name = "surface"};
+  constexpr int kSide = 12;
+  for (int y = 0; y < kSide; ++y) {
+    for (int x = 0; x < kSide; ++x) {
+      ridge.vertices.emplace_back(0.25f * static_cast<float>(x), 0.5f * static_cast<float>(y),
+                                  std::abs(static_cast<float>(x - 5)) * 0.125f);
+      ridge.vertex_colours.push_back({static_cast<uint8_t>(20 * x), static_cast<uint8_t>(20 * y), 90});
+      if (x == 0 || y == 0) continue;
+      const int i = y * kSide + x;
+      ridge.triangles.emplace_back(i - kSide - 1, i - kSide, i);
+      ridge.triangles.emplace_back(i - kSide - 1, i, i - 1);
+    }
+  }
+  for (const std::string format : {"ply", "obj", "stl", "fbx", "3mf", "x3d", "dae", "glb"}) {
+    SCOPED_TRACE(format);
+    const fs::path path = folder_ / ("mesh." + format);
+    write_mesh(path, ridge);
+    const std::vector<TriangleMesh> back = read_meshes(path);
+    ASSERT_EQ(back.size(), 1u);
+    EXPECT_EQ(back[0].triangles.size(), ridge.triangles.size());
+    const Eigen::AlignedBox3f box = box_of(back[0]);
+    EXPECT_LT((box.sizes() - box_of(ridge).sizes()).norm(), 1e-4);
+    double up = 0;
+    for (const Eigen::Vector3i& t : back[0].triangles) {
+      const auto corner = [&](int i) { return back[0].vertices[static_cast<size_t>(t[i])]; };
+      up += (corner(1) - corner(0)).cross(corner(2) - corner(0)).z();
+    }
+    EXPECT_GT(up, 0);
+    if (format == "stl" || format == "3mf") continue;
+    ASSERT_EQ(back[0].vertex_colours.size(), back[0].vertices.size());
+    for (size_t i = 0; i < back[0].vertices.size(); ++i) {
+      const Eigen::Vector3f& v = back[0].vertices[i];
+      const cv::Vec3b expected(static_cast<uint8_t>(std::lround(v.x() * 80)),
+                               static_cast<uint8_t>(std::lround(v.y() * 40)), 90);
+      for (int k = 0; k < 3; ++k) EXPECT_NEAR(back[0].vertex_colours[i][k], expected[k], 1);
+    }
+  }
+  EXPECT_THROW(write_mesh(folder_ / "mesh.xyz", ridge), UsageError);
+  file("plain", "");
+  EXPECT_THROW(write_mesh(folder_ / "plain" / "mesh.ply", ridge), InputError);
 }
 
 // Khronos' own validator as the foreign reader.

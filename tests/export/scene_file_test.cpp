@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 #include <tiny_gltf.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <cstdlib>
@@ -121,7 +122,7 @@ struct ColouredPoint {
 };
 
 std::vector<ColouredPoint> points_of(const tinygltf::Model& model, int submap) {
-  const tinygltf::Primitive* points = find_primitive(model, submap, "points");
+  const tinygltf::Primitive* points = find_primitive(model, submap, "cloud");
   if (!points) return {};
   EXPECT_EQ(points->mode, TINYGLTF_MODE_POINTS);
   const auto positions = elements_of<Eigen::Vector3f>(model, points->attributes.at("POSITION"));
@@ -132,67 +133,173 @@ std::vector<ColouredPoint> points_of(const tinygltf::Model& model, int submap) {
   return result;
 }
 
+const tinygltf::Node* find_node(const tinygltf::Model& model, const std::string& name) {
+  const auto found =
+      std::find_if(model.nodes.begin(), model.nodes.end(), [&](const auto& node) { return node.name == name; });
+  return found == model.nodes.end() ? nullptr : &*found;
+}
+
+Pose pose_of(const tinygltf::Node& node) {
+  Pose pose = Pose::Identity();
+  const std::vector<double>&t = node.translation, &q = node.rotation;
+  pose.translation() = Eigen::Vector3d(t.at(0), t.at(1), t.at(2));
+  pose.linear() = Eigen::Quaterniond(q.at(3), q.at(0), q.at(1), q.at(2)).toRotationMatrix();
+  return pose;
+}
+
+// A flat patch of points, half of them dark.
+PointCloud patch_cloud(int side) {
+  PointCloud cloud{.edge = 0.02, .points = {}};
+  for (int y = 0; y < side; ++y) {
+    for (int x = 0; x < side; ++x) {
+      CloudPoint p;
+      p.position = {0.02f * static_cast<float>(x) + 0.01f, 2, 0.02f * static_cast<float>(y) + 0.01f};
+      p.rgb = x < side / 2 ? std::array<uint8_t, 3>{10, 20, 30} : std::array<uint8_t, 3>{200, 100, 50};
+      p.sigma = 0.001f * static_cast<float>(1 + (x + 2 * y) % 4);
+      cloud.points.push_back(p);
+    }
+  }
+  return cloud;
+}
+
 class SceneFile : public ::testing::Test {
  protected:
+  // The views' sub-maps, each with the cloud of a patch; the first one with a map and a tour.
+  void write_file_of(const std::vector<StereoView>& views, const SceneOptions& options,
+                     const pipeline::RunControl& control = {}) {
+    std::map<int, std::vector<StereoView>> by_submap;
+    for (const StereoView& view : views) by_submap[view.submap].push_back(view);
+    std::map<int, views::MemoryViewStore> stores;
+    std::vector<ScenePart> parts;
+    for (const auto& [submap, some] : by_submap) {
+      const auto& store = stores.emplace(submap, views::MemoryViewStore(some)).first->second;
+      parts.push_back({.submap = submap, .views = &store, .cloud = &cloud_});
+    }
+    if (!parts.empty()) {
+      parts[0].ground =
+          GroundPicture{.image = cv::Mat3b(20, 30, cv::Vec3b(1, 2, 3)), .x0 = -1, .y0 = 2, .width = 3, .height = 2};
+      for (int i = 0; i < 5; ++i) {
+        parts[0].tour.keyframes.push_back({.t = 2 + 0.5 * i,
+                                           .world_from_cam = looking_along_y({0.1 * i, 0, 0.3}) *
+                                                             Eigen::AngleAxisd(1.2 * i, Eigen::Vector3d::UnitY()),
+                                           .fov = 0.9});
+      }
+      parts[0].tour_aspect = 1.5;
+    }
+    write_scene(glb_, graph_of(views), parts, options, cloud_options_, "rover", control);
+  }
   tinygltf::Model write(const std::vector<StereoView>& views, const SceneOptions& options = {}) {
-    write_scene(glb_, graph_of(views), views::MemoryViewStore(views), options, "rover");
+    write_file_of(views, options);
     return read_glb(glb_);
   }
 
   const testing::TemporaryFolder temporary_;
   const fs::path folder_ = temporary_.path();
   const fs::path glb_ = folder_ / "scene.glb";
+  PointCloud cloud_ = patch_cloud(40);
+  CloudOptions cloud_options_{.fusion = {.min_disparity = 1, .step = 1}};
 };
 
-// What the points must be, written down without any of the exporter's shortcuts: a sorted map of cubes in double.
-TEST_F(SceneFile, PointsAreTheWeightedMeansOfTheirCubes) {
-  constexpr double kEdge = 0.0973;  // no point lies on the face of a cube, where a float may round across it
+TEST_F(SceneFile, CloudIsThatWhichWasGiven) {
+  const std::vector<ColouredPoint> points = points_of(write(three_views()), 0);
+  ASSERT_EQ(points.size(), cloud_.points.size());
+  for (size_t i = 0; i < points.size(); ++i) {
+    EXPECT_EQ(points[i].position, cloud_.points[i].position);
+    for (size_t k = 0; k < 3; ++k) {
+      const double s = cloud_.points[i].rgb[k] / 255.0;  // sRGB -> linear light, IEC 61966-2-1
+      EXPECT_NEAR(points[i].colour[k], 65535 * (s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4)), 1);
+    }
+    EXPECT_EQ(points[i].colour[3], 65535);
+  }
+}
+
+TEST_F(SceneFile, SurfacesShowWhatTheViewsSaw) {
   const std::vector<StereoView> views = three_views();
-  const SceneOptions options{.voxel = kEdge, .max_range = 4, .min_disparity = 3.7, .max_points = 100000};
-  struct Sum {
-    double w = 0;
-    Eigen::Vector3d p = Eigen::Vector3d::Zero(), c = Eigen::Vector3d::Zero();
-    int pixels = 0;
-  };
-  std::map<std::array<double, 3>, Sum> cubes;
-  for (const StereoView& view : views) {
-    for (int y = 0; y < kHeight; ++y) {
-      for (int x = 0; x < kWidth; ++x) {
-        if (view.disparity.origin(y, x) == static_cast<uint8_t>(DisparityOrigin::between_segments)) continue;
-        const double d = view.disparity.disparity(y, x) + 0.5;
-        const Eigen::Vector3d p = Eigen::Vector3d(x - 31.5, y - 23.5, 60) * 0.2 / d;
-        if (d < 3.7 || p.norm() > 4) continue;
-        const double error = 0.1 * std::sqrt(2) * p.z() * p.norm() / (60 * 0.2);  // (4.24)
-        const Eigen::Vector3d world = view.world_from_cam.linear() * p + view.world_from_cam.translation();
-        Sum& sum = cubes[{std::floor(world.x() / kEdge), std::floor(world.y() / kEdge), std::floor(world.z() / kEdge)}];
-        Eigen::Vector3d rgb;
-        for (int i = 0; i < 3; ++i) {
-          const double s =
-              (view.image.channels() == 3 ? view.image.at<cv::Vec3b>(y, x)[2 - i] : view.image.at<uchar>(y, x)) / 255.0;
-          rgb[i] = s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4);
-        }
-        sum.w += 1 / (error * error);
-        sum.p += world / (error * error);
-        sum.c += rgb / (error * error);
-        ++sum.pixels;
+  cloud_options_.fusion.neighbours = 0;  // each sees a wall of its own
+  const tinygltf::Model model = write(views, {.surface_error = 0.2});
+  const tinygltf::Node* group = find_node(model, "surfaces");
+  ASSERT_NE(group, nullptr);
+  ASSERT_FALSE(group->children.empty());
+  for (const int child : group->children) {
+    const tinygltf::Node& node = model.nodes.at(static_cast<size_t>(child));
+    const auto view = std::find_if(views.begin(), views.end(), [&](const StereoView& v) {
+      return node.name == "surface_00000" + std::to_string(v.frame_idx);
+    });
+    ASSERT_NE(view, views.end());
+    EXPECT_TRUE(pose_of(node).isApprox(view->world_from_cam, 1e-9));
+    const tinygltf::Primitive& surface = model.meshes.at(static_cast<size_t>(node.mesh)).primitives.at(0);
+    const auto positions = elements_of<Eigen::Vector3f>(model, surface.attributes.at("POSITION"));
+    const auto coordinates = elements_of<Eigen::Vector2f>(model, surface.attributes.at("TEXCOORD_0"));
+    for (size_t i = 0; i < positions.size(); ++i) {
+      const Eigen::Vector3d seen = kCamera.project(positions[i].cast<double>());
+      EXPECT_NEAR((seen.x() + 0.5) / kWidth, coordinates[i].x(), 1e-5);
+      EXPECT_NEAR((seen.y() + 0.5) / kHeight, coordinates[i].y(), 1e-5);
+      EXPECT_NEAR(seen.z(), 2.5 + 0.1 * seen.x(), 0.1);  // the wall
+    }
+    const tinygltf::Material& material = model.materials.at(static_cast<size_t>(surface.material));
+    EXPECT_TRUE(material.extensions.contains("KHR_materials_unlit"));
+    const int texture = material.pbrMetallicRoughness.baseColorTexture.index;
+    const tinygltf::Image& image =
+        model.images.at(static_cast<size_t>(model.textures.at(static_cast<size_t>(texture)).source));
+    EXPECT_EQ(image.width, kWidth);
+    EXPECT_EQ(image.height, kHeight);
+  }
+  EXPECT_EQ(model.asset.extras.Get("surface_views").GetNumberAsInt(), static_cast<int>(group->children.size()));
+  EXPECT_EQ(find_node(write(views, {.surfaces = false}), "surfaces"), nullptr);
+}
+
+TEST_F(SceneFile, CamerasMapAndTour) {
+  const std::vector<StereoView> views = three_views();
+  const tinygltf::Model model = write(views);
+  Pose turned = Pose::Identity();
+  turned.linear() = Eigen::Vector3d(1, -1, -1).asDiagonal();  // looks along -z, y up
+  const tinygltf::Node* camera = find_node(model, "camera_000004");
+  ASSERT_NE(camera, nullptr);
+  EXPECT_TRUE(pose_of(*camera).isApprox(views[1].world_from_cam * turned, 1e-9));
+  const tinygltf::PerspectiveCamera& lens = model.cameras.at(static_cast<size_t>(camera->camera)).perspective;
+  EXPECT_NEAR(lens.yfov, 2 * std::atan(24.0 / 60), 1e-6);
+  EXPECT_NEAR(lens.aspectRatio, 64.0 / 48, 1e-6);
+
+  const tinygltf::Primitive* map = find_primitive(model, 0, "map");
+  ASSERT_NE(map, nullptr);
+  const auto corners = elements_of<Eigen::Vector3f>(model, map->attributes.at("POSITION"));
+  const auto coordinates = elements_of<Eigen::Vector2f>(model, map->attributes.at("TEXCOORD_0"));
+  ASSERT_EQ(corners.size(), 4u);
+  for (size_t i = 0; i < 4; ++i) {
+    // Row 0 of the picture is the largest y.
+    EXPECT_EQ(corners[i], Eigen::Vector3f(-1 + 3 * coordinates[i].x(), 4 - 2 * coordinates[i].y(), 0));
+  }
+
+  const tinygltf::Node* tour = find_node(model, "tour");
+  ASSERT_NE(tour, nullptr);
+  EXPECT_NEAR(model.cameras.at(static_cast<size_t>(tour->camera)).perspective.yfov, 0.9, 1e-6);
+  ASSERT_EQ(model.animations.size(), 1u);
+  const tinygltf::Animation& animation = model.animations[0];
+  EXPECT_EQ(animation.name, "tour");
+  ASSERT_EQ(animation.channels.size(), 2u);
+  for (const tinygltf::AnimationChannel& channel : animation.channels) {
+    EXPECT_EQ(&model.nodes.at(static_cast<size_t>(channel.target_node)), tour);
+    const tinygltf::AnimationSampler& sampler = animation.samplers.at(static_cast<size_t>(channel.sampler));
+    const auto times = elements_of<float>(model, sampler.input);
+    EXPECT_EQ(times, (std::vector<float>{0, 0.5f, 1, 1.5f, 2}));
+    for (size_t i = 0; i < times.size(); ++i) {
+      const double at = static_cast<double>(i);
+      const Pose expected =
+          looking_along_y({0.1 * at, 0, 0.3}) * Eigen::AngleAxisd(1.2 * at, Eigen::Vector3d::UnitY()) * turned;
+      if (channel.target_path == "translation") {
+        EXPECT_LT(
+            (elements_of<Eigen::Vector3f>(model, sampler.output)[i].cast<double>() - expected.translation()).norm(),
+            1e-6);
+        continue;
+      }
+      const auto turns = elements_of<Eigen::Vector4f>(model, sampler.output);
+      const Eigen::Quaterniond q(turns[i].cast<double>());
+      EXPECT_LT((q.toRotationMatrix() - expected.linear()).norm(), 1e-6);
+      if (i > 0) {
+        EXPECT_GT(turns[i].dot(turns[i - 1]), 0);  // the shorter way
       }
     }
   }
-  const std::vector<ColouredPoint> points = points_of(write(views, options), 0);
-  ASSERT_EQ(points.size(), cubes.size());
-  ASSERT_GT(points.size(), 300u);
-  int shared = 0;
-  for (const ColouredPoint& point : points) {
-    const Eigen::Vector3d p = point.position.cast<double>();
-    const auto found = cubes.find({std::floor(p.x() / kEdge), std::floor(p.y() / kEdge), std::floor(p.z() / kEdge)});
-    ASSERT_NE(found, cubes.end());
-    const Sum& sum = found->second;
-    shared += sum.pixels > 1;
-    EXPECT_LT((p - sum.p / sum.w).norm(), 1e-6);  // floats of a few metres
-    for (int i = 0; i < 3; ++i) EXPECT_NEAR(point.colour[i], 65535 * sum.c[i] / sum.w, 1);
-    EXPECT_EQ(point.colour[3], 65535);
-  }
-  EXPECT_GT(shared, 100);
 }
 
 TEST_F(SceneFile, NodesPathCamerasAndExtras) {
@@ -254,22 +361,41 @@ TEST_F(SceneFile, NodesPathCamerasAndExtras) {
   EXPECT_EQ(model.asset.extras.Get("voxel").GetNumberAsDouble(), 0.02);
 }
 
-TEST_F(SceneFile, CoarserCubesKeepWithinTheBudget) {
-  const std::vector<StereoView> views = three_views();
-  SceneOptions options{.voxel = 0.01, .max_range = 40, .min_disparity = 1, .max_points = 1 << 20};
-  const size_t all = points_of(write(views, options), 0).size();
-  ASSERT_GT(all, 3000u);
-  options.max_points = 1000;
-  const tinygltf::Model model = write(views, options);
-  const size_t few = points_of(model, 0).size();
-  EXPECT_LE(few, 1000u);
-  EXPECT_GT(few, 100u);
-  // Thinning by the edge that was found gives the same cubes as thinning by it from the start.
-  SceneOptions direct = options;
-  direct.voxel = model.asset.extras.Get("voxel").GetNumberAsDouble();
-  EXPECT_GT(direct.voxel, options.voxel);
-  direct.max_points = 1 << 20;
-  EXPECT_EQ(points_of(write(views, direct), 0).size(), few);
+TEST_F(SceneFile, CoarserCubesKeepWithinTheBudgetOfPoints) {
+  const tinygltf::Model model = write(three_views(), {.max_points = 1000});
+  const std::vector<ColouredPoint> points = points_of(model, 0);
+  EXPECT_EQ(points.size(), 400u);  // of 1600: one of four
+  EXPECT_EQ(model.asset.extras.Get("voxel").GetNumberAsDouble(), 0.04);
+  // Of each cube the point of the least sigma.
+  double sum = 0;
+  for (const ColouredPoint& point : points) {
+    const auto same = std::find_if(cloud_.points.begin(), cloud_.points.end(),
+                                   [&](const CloudPoint& p) { return p.position == point.position; });
+    ASSERT_NE(same, cloud_.points.end());
+    sum += same->sigma;
+  }
+  EXPECT_LT(sum / 400, 0.0016);
+}
+
+TEST_F(SceneFile, KeepsWithinItsSize) {
+  // Noisy pictures and disparities compress badly and need every triangle.
+  std::vector<StereoView> views;
+  cv::RNG random(1);
+  for (int i = 0; i < 60; ++i) {
+    StereoView view = wall_view(i, 0, {0.4 * i, 0, 0});
+    random.fill(view.image, cv::RNG::UNIFORM, 0, 256);
+    cv::Mat1f noise(kHeight, kWidth);
+    random.fill(noise, cv::RNG::NORMAL, 0, 0.2);
+    view.disparity.disparity = view.disparity.disparity + noise;
+    views.push_back(view);
+  }
+  cloud_options_.min_agree = 0;
+  write(views, {.max_mb = 1000, .min_gain = 0});
+  const auto all = fs::file_size(glb_);
+  ASSERT_GT(all, 1'200'000u);
+  const tinygltf::Model model = write(views, {.max_mb = 1, .min_gain = 0});
+  EXPECT_LE(fs::file_size(glb_), 1'000'000u);
+  EXPECT_GT(find_node(model, "surfaces")->children.size(), 3u);
 }
 
 TEST_F(SceneFile, SubmapsStandSideBySide) {
@@ -307,12 +433,8 @@ TEST_F(SceneFile, SameBytesForAnyNumberOfThreadsAndEveryChangeShows) {
   changed[7].world_from_cam.translation().z() += 1e-4;
   write(changed);
   EXPECT_NE(read_file(glb_), one);
-  changed = views;
-  changed[19].image = changed[19].image.clone();
-  changed[19].image.at<cv::Vec3b>(20, 60)[1] ^= 16;
-  changed[19].disparity.origin = changed[19].disparity.origin.clone();
-  changed[19].disparity.origin(20, 60) = static_cast<uint8_t>(DisparityOrigin::measured);
-  write(changed);
+  cloud_.points[3].rgb[1] ^= 16;
+  write(views);
   EXPECT_NE(read_file(glb_), one);
 }
 
@@ -320,29 +442,27 @@ TEST_F(SceneFile, AnEmptySceneIsAValidFileAndAnUnwritablePlaceAnError) {
   const tinygltf::Model model = write({});
   EXPECT_EQ(model.nodes.size(), 1u);
   EXPECT_TRUE(model.meshes.empty());
-  EXPECT_THROW(write_scene(glb_ / "below_a_file.glb", {}, views::MemoryViewStore({}), {}, ""), InputError);
+  EXPECT_THROW(write_scene(glb_ / "below_a_file.glb", {}, {}, {}, {}, ""), InputError);
 }
 
 TEST_F(SceneFile, StopsWhenItIsAskedTo) {
-  const std::vector<StereoView> views = three_views();
   std::atomic<bool> stop = true;
   const pipeline::RunControl control{.progress = ProgressStyle::quiet, .stop = &stop};
-  EXPECT_THROW(write_scene(glb_, graph_of(views), views::MemoryViewStore(views), {}, "rover", control), Interrupted);
+  EXPECT_THROW(write_file_of(three_views(), {}, control), Interrupted);
   EXPECT_FALSE(fs::exists(glb_));
   stop = false;
-  write_scene(glb_, graph_of(views), views::MemoryViewStore(views), {}, "rover", control);
+  write_file_of(three_views(), {}, control);
   EXPECT_TRUE(fs::exists(glb_));
 }
 
 TEST_F(SceneFile, AFullDiskIsAnErrorAndLeavesWhatWasThere) {
-  const std::vector<StereoView> views = three_views();
   write({});
   const std::string before = read_file(glb_);
   bool refused = false;
   {
     const testing::FullDisk full(16 * 1024);
     try {
-      write_scene(glb_, graph_of(views), views::MemoryViewStore(views), {.voxel = 0.001}, "rover");
+      write_file_of(three_views(), {});
     } catch (const InputError&) {
       refused = true;
     }
@@ -356,7 +476,7 @@ TEST_F(SceneFile, OptionsAreDeclared) {
   SceneOptions options;
   OptionSet set;
   options.declare(set);
-  EXPECT_EQ(set.options().size(), 4u);
+  EXPECT_EQ(set.options().size(), 6u);
   set.validate();
   set.set("scene.max_points", "10");
   EXPECT_THROW(set.validate(), UsageError);

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# usage: render_scene.sh scene.glb picture.png
+# usage: render_scene.sh scene.glb picture.png ['hide=cloud,map&turn=180&near=0.5']
 # Renders a scene with three.js in a headless Chromium (software WebGL, no display, nothing leaves this machine).
 set -euo pipefail
-if [ $# -ne 2 ]; then
+if [ $# -lt 2 ] || [ $# -gt 3 ]; then
   sed -n 2,3p "$0"
   exit 2
 fi
@@ -27,7 +27,7 @@ rm -f "$picture"
 timeout 300 "$browser" --headless --no-sandbox --disable-gpu --disable-quic --no-first-run \
   --disable-background-networking --disable-component-update --disable-sync --user-data-dir="$work/profile" \
   --use-angle=swiftshader --enable-unsafe-swiftshader --window-size=1280,800 --virtual-time-budget=60000 \
-  --screenshot="$picture" "http://127.0.0.1:$(head -n 1 "$work/reports")/viewer.html" >"$work/log" 2>&1 || true
+  --screenshot="$picture" "http://127.0.0.1:$(head -n 1 "$work/reports")/viewer.html?${3-}" >"$work/log" 2>&1 || true
 [ -s "$picture" ] || { cat "$work/log" >&2; echo "no picture was made" >&2; exit 1; }
 report=$(tail -n +2 "$work/reports")
 echo "$report"

@@ -16,6 +16,7 @@ struct TriangleMesh {
                                                      // texture, u to the right, v down, repeating beyond [0, 1]
   cv::Mat3b texture;                                 // BGR; empty = `colour` everywhere
   cv::Vec3b colour{200, 200, 200};                   // BGR
+  std::vector<cv::Vec3b> vertex_colours;             // BGR, one a vertex, or none; before `colour`
 };
 
 }  // namespace iris

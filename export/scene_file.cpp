@@ -267,7 +267,10 @@ void write_scene(const std::filesystem::path& glb, const PoseGraph& graph, const
   }
   size_t all_views = 0;
   for (const ScenePart& part : parts) all_views += part.views ? part.views->summaries().size() : 0;
-  const double surface_budget = (1 - kReserve) * budget - static_cast<double>(kPointBytes * total(clouds));
+  constexpr double kViewBytes = 1500;  // of a view's nodes, camera pyramid, material and arrays in the file's JSON
+  const double surface_budget =
+      std::max(0.0, (1 - kReserve) * budget - static_cast<double>(kPointBytes * total(clouds)) -
+                        kViewBytes * static_cast<double>(all_views) - 12.0 * static_cast<double>(graph.nodes.size()));
 
   SceneBuilder builder;
   double right = 0;  // [m] where the next sub-map begins in x

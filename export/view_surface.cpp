@@ -1,6 +1,7 @@
 #include "export/view_surface.h"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <limits>
@@ -21,9 +22,9 @@ class Grid {
  public:
   Grid(const StereoView& view, const FusedView& fused, int step, const std::function<bool(const FusedPixel&)>& wanted)
       : step_(step), offset_(step / 2) {
-    const int columns = (view.disparity.disparity.cols - offset_ + step - 1) / step;
-    const int rows = (view.disparity.disparity.rows - offset_ + step - 1) / step;
-    side_ = static_cast<int>(std::bit_ceil(static_cast<unsigned>(std::max({columns, rows, 2}) - 1)));
+    columns_ = (view.disparity.disparity.cols - offset_ + step - 1) / step;
+    rows_ = (view.disparity.disparity.rows - offset_ + step - 1) / step;
+    side_ = static_cast<int>(std::bit_ceil(static_cast<unsigned>(std::max({columns_, rows_, 2}) - 1)));
     samples_.resize(static_cast<size_t>(side_ + 1) * static_cast<size_t>(side_ + 1));
     for (const FusedPixel& pixel : fused.pixels) {
       Sample& sample = samples_[index((pixel.x - offset_) / step, (pixel.y - offset_) / step)];
@@ -35,9 +36,7 @@ class Grid {
     find_errors();
     TriangleMesh result;
     vertices_.assign(samples_.size(), -1);
-    const Corner low{0, 0}, high{side_, side_};
-    add({low, high, {side_, 0}}, tolerance, camera, result);
-    add({high, low, {0, side_}}, tolerance, camera, result);
+    for (const Triangle& half : halves()) add(half, tolerance, camera, result);
     return result;
   }
 
@@ -65,40 +64,57 @@ class Grid {
   }
   Sample& at(const Corner& c) { return samples_[index(c.x, c.y)]; }
 
-  // From the smallest triangles to the largest, so that each has its parts' errors. Numbered as a binary tree: the two
-  // halves of the square are 2 and 3; the bits below the first one choose halves.
+  // Of the square.
+  std::array<Triangle, 2> halves() const {
+    const Corner low{0, 0}, high{side_, side_};
+    return {Triangle{low, high, {side_, 0}}, Triangle{high, low, {0, side_}}};
+  }
+
+  // All parts of a triangle after so many splits that are not outside of the image.
+  template <class Visit>
+  void for_each_part(const Triangle& t, int splits, const Visit& visit) {
+    if (std::min({t.a.x, t.b.x, t.c.x}) >= columns_ || std::min({t.a.y, t.b.y, t.c.y}) >= rows_) return;
+    if (splits == 0) {
+      visit(t);
+      return;
+    }
+    const Corner m = t.middle();
+    for_each_part({t.c, t.a, m}, splits - 1, visit);
+    for_each_part({t.b, t.c, m}, splits - 1, visit);
+  }
+
+  // From the smallest triangles that can be split to the largest, so that each has its parts' errors.
   void find_errors() {
-    const int count = 2 * side_ * side_ - 2;    // of all that can be split
-    const int parents = count - side_ * side_;  // of those whose parts can be split
-    for (int i = count - 1; i >= 0; --i) {
-      Triangle t;
-      int id = i + 2;
-      t = id & 1 ? Triangle{{0, 0}, {side_, side_}, {side_, 0}} : Triangle{{side_, side_}, {0, 0}, {0, side_}};
-      for (id >>= 1; id > 1; id >>= 1) {
-        const Corner m = t.middle();
-        t = id & 1 ? Triangle{t.c, t.a, m} : Triangle{t.b, t.c, m};
+    const int last = 2 * std::countr_zero(static_cast<unsigned>(side_)) - 1;
+    for (int splits = last; splits >= 0; --splits) {
+      for (const Triangle& half : halves()) {
+        for_each_part(half, splits, [&](const Triangle& t) { find_error(t, splits == last); });
       }
-      const Corner m = t.middle();
-      Sample& middle = at(m);
-      const Sample &a = at(t.a), &b = at(t.b);
-      float error = 0;
-      if (a.state != b.state || a.state != middle.state) {
+    }
+  }
+
+  // `last`: its halves are the smallest.
+  void find_error(const Triangle& t, bool last) {
+    const Corner m = t.middle();
+    Sample& middle = at(m);
+    const Sample &a = at(t.a), &b = at(t.b);
+    float error = 0;
+    if (a.state != b.state || a.state != middle.state) {
+      error = std::numeric_limits<float>::infinity();
+    } else if (middle.state != State::none) {
+      error = std::abs((a.disparity + b.disparity) / 2 - middle.disparity) / middle.sigma;
+    }
+    if (last) {
+      // The smallest decide for themselves where the right angle belongs to another surface.
+      const Sample& c = at(t.c);
+      if (c.state != a.state || jumps(a, c) || jumps(b, c) || jumps(a, b)) {
         error = std::numeric_limits<float>::infinity();
-      } else if (middle.state != State::none) {
-        error = std::abs((a.disparity + b.disparity) / 2 - middle.disparity) / middle.sigma;
       }
-      if (i >= parents) {
-        // Its halves are the smallest: they decide for themselves where its right angle belongs to another surface.
-        const Sample& c = at(t.c);
-        if (c.state != a.state || jumps(a, c) || jumps(b, c) || jumps(a, b)) {
-          error = std::numeric_limits<float>::infinity();
-        }
-      }
-      middle.error = std::max(middle.error, error);
-      if (i >= parents) continue;
-      for (const Triangle& part : {Triangle{t.c, t.a, m}, Triangle{t.b, t.c, m}}) {
-        middle.error = std::max(middle.error, at(part.middle()).error);
-      }
+    }
+    middle.error = std::max(middle.error, error);
+    if (last) return;
+    for (const Triangle& part : {Triangle{t.c, t.a, m}, Triangle{t.b, t.c, m}}) {
+      middle.error = std::max(middle.error, at(part.middle()).error);
     }
   }
 
@@ -130,7 +146,9 @@ class Grid {
     return vertex;
   }
 
-  int step_, offset_, side_;
+  int step_, offset_;
+  int columns_ = 0, rows_ = 0;  // of the samples that the image has
+  int side_ = 0;
   std::vector<Sample> samples_;
   std::vector<int> vertices_;
 };

@@ -31,7 +31,18 @@ class Sight {
         obstacles_(obstacles),
         top_(map.all_slices()),
         neighbour_(kNeighbour + wider),
-        at_camera_(kAtCamera + wider) {}
+        at_camera_(kAtCamera + wider),
+        hides_(obstacles.size() * kBlocks * kBlocks) {
+    parallel_chunks(0, static_cast<int>(obstacles.size()), 1, [&](int begin, int end) {
+      for (int t = begin; t < end; ++t) {
+        const std::vector<uint8_t>& tile = obstacles[static_cast<size_t>(t)];
+        for (size_t i = 0; i < tile.size(); ++i) {
+          if (tile[i] != static_cast<uint8_t>(MapState::occupied)) continue;
+          hides_[block(static_cast<size_t>(t), static_cast<int>(i % kSide), static_cast<int>(i / kSide % kSide))] = 1;
+        }
+      }
+    });
+  }
 
   // Whether nothing occupied lies between a cell and the camera.
   bool is_free(const Eigen::Vector3i& target, const Eigen::Vector3d& camera) const {
@@ -47,35 +58,59 @@ class Sight {
       delta[a] = way[a] == 0 ? std::numeric_limits<double>::infinity() : 1 / std::abs(way[a]);
       next[a] = way[a] == 0 ? delta[a] : (way[a] > 0 ? low[a] + 1 - start[a] : start[a] - low[a]) * delta[a];
     }
-    const std::vector<uint8_t>* tile = nullptr;
-    int tile_x = 0, tile_y = 0;
+    const auto boundary = [&](int a) {  // where the way leaves the cell along this axis, as part of the way
+      return (way[a] > 0 ? cell[a] + 1 - start[a] : start[a] - cell[a]) * delta[a];
+    };
     for (;;) {
+      if (cell.z() < 0 || cell.z() >= top_) return true;  // has left the grid for good
+      const int tx = (cell.x() >> FlogMap::kTileBits) - map_.tile_x0,
+                ty = (cell.y() >> FlogMap::kTileBits) - map_.tile_y0;
+      if (tx < 0 || ty < 0 || tx >= map_.tiles_x || ty >= map_.tiles_y) return true;
+      const size_t tile = static_cast<size_t>(ty) * map_.tiles_x + tx;
+      if (!hides_[block(tile, cell.x() & (kSide - 1), cell.y() & (kSide - 1))]) {
+        // Crossed at once.
+        const Eigen::Vector2i corner(cell.x() & ~(kBlock - 1), cell.y() & ~(kBlock - 1));
+        for (int a = 0; a < 2; ++a) {
+          if (way[a] == 0) continue;
+          cell[a] = corner[a] + (step[a] > 0 ? kBlock - 1 : 0);
+          next[a] = boundary(a);
+        }
+        const int out = next.x() < next.y() ? 0 : 1;
+        if (next[out] >= end) return true;
+        for (const int a : {1 - out, 2}) {
+          if (way[a] == 0) continue;
+          cell[a] = static_cast<int>(std::floor(start[a] + way[a] * next[out]));
+          if (a != 2) cell[a] = std::clamp(cell[a], corner[a], corner[a] + kBlock - 1);
+          next[a] = boundary(a);
+        }
+        cell[out] += step[out];
+        next[out] += delta[out];
+        continue;
+      }
+      const size_t at =
+          (static_cast<size_t>(cell.z()) * kSide + (cell.y() & (kSide - 1))) * kSide + (cell.x() & (kSide - 1));
+      if (obstacles_[tile][at] == static_cast<uint8_t>(MapState::occupied) &&
+          (cell - target).cwiseAbs().maxCoeff() > neighbour_) {
+        return false;
+      }
       int axis = next.x() < next.y() ? 0 : 1;
       if (next.z() < next[axis]) axis = 2;
       if (next[axis] >= end) return true;
       cell[axis] += step[axis];
       next[axis] += delta[axis];
-      if (axis == 2 && (cell.z() < 0 || cell.z() >= top_)) return true;  // leaves the grid for good
-      const int tx = (cell.x() >> FlogMap::kTileBits) - map_.tile_x0,
-                ty = (cell.y() >> FlogMap::kTileBits) - map_.tile_y0;
-      if (tx < 0 || ty < 0 || tx >= map_.tiles_x || ty >= map_.tiles_y) continue;
-      if (!tile || tx != tile_x || ty != tile_y) {
-        tile = &obstacles_[static_cast<size_t>(ty) * map_.tiles_x + tx];
-        tile_x = tx, tile_y = ty;
-      }
-      if (tile->empty()) continue;
-      const size_t at =
-          (static_cast<size_t>(cell.z()) * kSide + (cell.y() & (kSide - 1))) * kSide + (cell.x() & (kSide - 1));
-      if ((*tile)[at] != static_cast<uint8_t>(MapState::occupied)) continue;
-      if ((cell - target).cwiseAbs().maxCoeff() > neighbour_) return false;
     }
   }
 
  private:
+  static constexpr int kBlock = 8;  // [cells] along the sides of a block of columns
+  static constexpr int kBlocks = kSide / kBlock;
+  static size_t block(size_t tile, int x, int y) { return (tile * kBlocks + y / kBlock) * kBlocks + x / kBlock; }
+
   const FlogMap& map_;
   const TileStates& obstacles_;
   int top_, neighbour_;
-  double at_camera_;  // [cells]
+  double at_camera_;            // [cells]
+  std::vector<uint8_t> hides_;  // whether a block of columns has obstacles
 };
 
 // What hides: the occupied cells, and what lies between two occupied ones above each other. Walls stand upright; where

@@ -55,7 +55,8 @@ std::vector<unsigned char> scale_png_of(const MapRaster& raster) {
 std::string yaml_of(const MapRaster& raster, const std::string& image, const std::string& mode) {
   const bool scale = mode == "scale";
   std::string text = fmt::format(
-      "image: {}\nmode: {}\nresolution: {}\norigin: [{}, {}, 0]\nnegate: 0\noccupied_thresh: {}\nfree_thresh: {}\n",
+      "image: {}\nmode: {}\nresolution: {}\norigin: [{}, {}, 0]\nnegate: 0\noccupied_thresh: "
+      "{}\nfree_thresh: {}\n",
       image, mode, raster.cell, raster.origin_x, raster.origin_y, kOccupiedThreshold, scale ? 0.002 : 0.196);
   if (!raster.layer_bounds.empty()) {
     text += fmt::format("# what stands between z = {:g} m and {:g} m of the world\n", raster.layer_bounds.front(),

@@ -87,7 +87,7 @@ SheetFacts facts_of(const Workspace& workspace, const mapping::MapRaster& raster
   const std::time_t seconds = begin_ns / 1'000'000'000;
   const bool dated = seconds > kYear2000;
   facts.date = fmt::format("{:%Y-%m-%dT%H:%M:%SZ}", fmt::gmtime(dated ? seconds : 0));
-  std::string closing = "no loop was closed";
+  std::string closing = "the path does not come back to itself";
   if (const auto error = closing_error(workspace.pose_graph(Poses::odometry), graph, submap)) {
     // Enough digits for both.
     const bool small = error->error + error->sigma < 0.1;

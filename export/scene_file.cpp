@@ -165,8 +165,9 @@ class SceneBuilder {
     model().materials.back().doubleSided = true;
     const auto x0 = static_cast<float>(ground.x0), y0 = static_cast<float>(ground.y0),
                x1 = static_cast<float>(ground.x0 + ground.width), y1 = static_cast<float>(ground.y0 + ground.height);
+    constexpr float z = -0.1f;  // [m] below the floor, which is uneven as it was measured: both would show in patches
     tinygltf::Primitive plane = primitive(TINYGLTF_MODE_TRIANGLES, material,
-                                          builder_.add_positions({{x0, y0, 0}, {x1, y0, 0}, {x1, y1, 0}, {x0, y1, 0}}));
+                                          builder_.add_positions({{x0, y0, z}, {x1, y0, z}, {x1, y1, z}, {x0, y1, z}}));
     plane.attributes["TEXCOORD_0"] = builder_.add_texture_coordinates({{0, 1}, {1, 1}, {1, 0}, {0, 0}});
     plane.indices = builder_.add_indices({0, 1, 2, 0, 2, 3});
     builder_.add_mesh_node(parent, "map", plane);

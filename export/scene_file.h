@@ -56,11 +56,10 @@ struct ScenePart {
 //       path            all poses of the graph
 //       cameras         lines: a pyramid for each stored view, as high as the baseline is long;
 //                       camera_<frame>: the same as cameras to look through
-//       map             the map on the ground
+//       map             the map, 0.1 m below the ground
 //       tour            camera that flies the tour (animation "tour")
 //   * Sub-maps have no known relation: so that they do not cover each other they stand side by side along x, moved by
-//   the
-//     translation of their node alone (none for the first).
+//     the translation of their node alone (none for the first).
 //   * Everything shows its own colours, whatever the light (KHR_materials_unlit). Surfaces show their front alone: from
 //     outside one looks into the rooms.
 //   * asset.extras: session, software, version, units, up axis, kept views and the edge of the cubes as used.

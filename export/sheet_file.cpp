@@ -131,10 +131,11 @@ std::optional<ClosingError> closing_error(const PoseGraph& odometry, const PoseG
   int loops = 0;
   for (const PoseEdge& edge : refined.edges) {
     if (edge.kind != PoseEdgeKind::loop || submap_of_frame.at(edge.i) != submap) continue;
-    ++loops;
     const PoseNode &i = *chained.at(edge.i), &j = *chained.at(edge.j);
     if (i.submap != j.submap) continue;
     const double between = std::abs(way.at(edge.j) - way.at(edge.i));
+    if (2 * edge.i_from_j.translation().norm() > between) continue;  // the path goes on, it does not come back
+    ++loops;
     if (result && between <= result->way) continue;
     const Pose i_from_j = i.world_from_cam.inverse() * j.world_from_cam;
     result = ClosingError{.i = edge.i,

@@ -41,9 +41,10 @@ struct ClosingError {
   double error = 0;  // [m]
   double sigma = 0;  // [m] standard deviation of the place of j as the loop sees it, as its covariance states it
   double way = 0;    // [m] along the path between the frames
-  int loops = 0;     // all of the sub-map
+  int loops = 0;     // of the sub-map that come back
 };
-// Nothing if no loop of the refined graph lies within one sub-map of the chained one.
+// Nothing if no loop of the refined graph lies within one sub-map of the chained one and comes back: to less than half
+// of its way from where it began.
 std::optional<ClosingError> closing_error(const PoseGraph& odometry, const PoseGraph& refined, int submap);
 
 // Writes sheet.pdf, sheet.svg and sheet.png (200 dpi) into `folder`, the same drawing in each; the same input gives the

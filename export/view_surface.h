@@ -16,8 +16,7 @@ namespace iris::exporters {
 //     `tolerance` standard deviations of the disparity: the mesh is as coarse as the depth error allows, without
 //     cracks. Planes are planes in disparity space, too.
 //   * The smallest triangles are kept if all three pixels have disparities that differ by at most 2 px (thesis 7.3) and
-//   a
-//     tenth: far away 2 px are many metres.
+//     a tenth: far away 2 px are many metres.
 //   * Only triangles with a pixel for which `wanted` is true.
 TriangleMesh view_surface(const StereoView& view, const reconstruct::FusedView& fused, int step, double tolerance,
                           const std::function<bool(const reconstruct::FusedPixel&)>& wanted);

@@ -64,6 +64,9 @@ void Arguments::resolve(const std::filesystem::path& saved) {
   if (options.library.tour.width % 2 != 0 || options.library.tour.height % 2 != 0) {
     throw UsageError("tour.width and tour.height must be even: the video format wants it");
   }
+  // What would be found to be wrong only when its stage has come.
+  loop::check(options.library.alignment);
+  exporters::mesh_formats(options.mesh);
   // The console alone: the log file of a run keeps everything.
   if (quiet_) spdlog::default_logger()->sinks().front()->set_level(spdlog::level::warn);
 }

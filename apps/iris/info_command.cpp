@@ -95,8 +95,8 @@ void print_output(const workspace::Workspace& workspace) {
   const pipeline::FramesSummary summary = pipeline::summarise_frames(workspace, poses);
   fmt::print("output       {}\n", workspace.folder().string());
   fmt::print("session      {}\n", workspace.session_folder());
-  fmt::print("frames       {}: {} with a pose, {} unreadable, {} that show too little, {} sub-maps\n", summary.frames,
-             summary.posed, summary.unreadable, summary.blind, summary.submaps);
+  fmt::print("frames       {}: {} with a pose, {} unreadable, {} that show too little, {} sub-map{}\n", summary.frames,
+             summary.posed, summary.unreadable, summary.blind, summary.submaps, summary.submaps == 1 ? "" : "s");
   fmt::print("path         {:.3f} m\n", summary.path_length);
   fmt::print("views        {}\n", summary.views);
   if (const std::string text = workspace.calibration(); !text.empty()) fmt::print("calibration  {}\n", text);

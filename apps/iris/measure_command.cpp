@@ -1,8 +1,10 @@
 // iris measure OUT A B: how far two points of the map are apart, and how sure that is.
 #include <fmt/format.h>
 
+#include <cmath>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <tuple>
 
 #include "apps/iris/command.h"
 #include "export/measurement.h"
@@ -75,9 +77,15 @@ int run(Measure& state) {
     }
     write_file(state.json, text);
   }
-  for (const auto& [name, point] : {std::pair("A", m.a), std::pair("B", m.b)}) {
+  for (const auto& [name, point, picked] : {std::tuple("A", m.a, a), std::tuple("B", m.b, b)}) {
     fmt::print("{}         {:.3f}, {:.3f}, {:.3f} m, seen from view {} in {:.2f} m distance\n", name,
                point.in_world.x(), point.in_world.y(), point.in_world.z(), point.frame_idx, point.range);
+    const Eigen::Vector2d off = point.in_world.head<2>() - picked.xy;
+    const double distance = std::hypot(off.norm(), picked.z ? point.in_world.z() - *picked.z : 0);
+    if (distance > options.radius) {
+      fmt::print("          {:.2f} m from where it was picked: nothing surer was measured within {:g} m of there\n",
+                 distance, options.radius);
+    }
   }
   fmt::print("distance  {:.3f} ± {:.3f} m{}\n", m.distance, m.sigma, m.in_plan ? ", horizontal" : "");
   fmt::print(

@@ -408,9 +408,16 @@ std::optional<Alignment> by_surfaces(const std::vector<PoseNode>& nodes, const S
 
 }  // namespace
 
+void check(const AlignmentOptions& options) {
+  if (options.up == "floor" || options.up == "path" || options.up == "first-camera" || direction_in(options.up)) return;
+  throw UsageError("--up " + options.up +
+                   ": must be floor, path, first-camera or a direction x,y,z in the first camera's frame");
+}
+
 Alignment align(const std::vector<PoseNode>& nodes, const std::vector<int>& view_frames,
                 const std::function<StereoView(int)>& view, const AlignmentOptions& options) {
   IRIS_CHECK(!nodes.empty());
+  check(options);
   const PoseNode& first = nodes.front();
   const auto describe = [&](const Eigen::Vector3d& up, const std::string& rule) {
     Alignment alignment = upright(first, up, "");
@@ -419,12 +426,7 @@ Alignment align(const std::vector<PoseNode>& nodes, const std::vector<int>& view
   };
   const Eigen::Vector3d first_up = -first.world_from_cam.linear().col(1);
   if (options.up != "floor" && options.up != "path" && options.up != "first-camera") {
-    const std::optional<Eigen::Vector3d> given = direction_in(options.up);
-    if (!given) {
-      throw UsageError("loop.up = " + options.up +
-                       ": must be floor, path, first-camera or a direction x,y,z in the first camera's frame");
-    }
-    return describe(first.world_from_cam.linear() * *given, "given direction");
+    return describe(first.world_from_cam.linear() * *direction_in(options.up), "given direction");
   }
   if (options.up == "first-camera") return describe(first_up, "first camera");
 

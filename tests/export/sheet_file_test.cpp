@@ -206,6 +206,11 @@ TEST(SheetFile, ClosingErrorIsThatOfTheLongestLoop) {
   EXPECT_NEAR(error->error, 0.03, 1e-9);
   EXPECT_NEAR(error->sigma, 0.01 * std::sqrt(6), 1e-9);
   EXPECT_NEAR(error->way, 40.03, 1e-9);
+  // Views that see the same things from along a straight side do not close anything.
+  PoseGraph straight = odometry;
+  straight.edges.push_back({.i = 0, .j = 18, .kind = PoseEdgeKind::loop});
+  straight.edges[0].i_from_j.translation().x() = 9;
+  EXPECT_FALSE(closing_error(odometry, straight, 0));
   // Chains that only a loop joined have no closing error.
   for (size_t k = 5; k < odometry.nodes.size(); ++k) odometry.nodes[k].submap = 1;
   refined.edges.erase(refined.edges.begin() + 1);

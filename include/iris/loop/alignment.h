@@ -31,6 +31,9 @@ struct Alignment {
   std::string used;          // which rule and how well it holds, or why another one had to do; for people
 };
 
+// Throws UsageError if options.up is none of what it may be.
+void check(const AlignmentOptions& options);
+
 // nodes: of one sub-map, not empty, the first one being the first camera. view_frames: frame_idx of stored views, each
 // a node; view: gives them, called from several threads at once (their own poses are not used; at most 150 are asked
 // for). Throws UsageError if options.up is none of the above.

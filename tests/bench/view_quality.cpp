@@ -324,7 +324,11 @@ std::vector<Variant> all_variants() {
 void print_view_quality(const ViewQualityOptions& options) {
   std::vector<std::function<std::vector<Case>()>> groups;
   const fs::path data = IRIS_TEST_DATA;
-  if (!options.apartment.empty()) {
+  // Of a recording whose cases have names that begin like this.
+  const auto wanted = [&](const std::string& name) {
+    return name.find(options.only) != std::string::npos || options.only.starts_with(name);
+  };
+  if (!options.apartment.empty() && wanted("apartment")) {
     groups.push_back([&] {
       const fs::path folder = options.apartment;
       const Recording recording = read_recording(folder, folder / "truth/trajectory.tum");
@@ -332,7 +336,7 @@ void print_view_quality(const ViewQualityOptions& options) {
       return std::vector<Case>{held_out, free_poses(held_out), with_drift(held_out)};
     });
   }
-  if (fs::exists(data / "euroc_mh01")) {
+  if (fs::exists(data / "euroc_mh01") && wanted("EuRoC")) {
     groups.push_back([&] {
       const fs::path folder = data / "euroc_mh01";
       const Recording recording = read_recording(folder, folder / "truth_left_camera.tum");
@@ -343,7 +347,7 @@ void print_view_quality(const ViewQualityOptions& options) {
       return std::vector<Case>{near, far};
     });
   }
-  if (fs::exists(data / "kitti_street")) {
+  if (fs::exists(data / "kitti_street") && wanted("KITTI")) {
     groups.push_back([&] {
       const fs::path folder = data / "kitti_street";
       const Recording recording = read_recording(folder, folder / "poses.txt");

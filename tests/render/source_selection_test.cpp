@@ -101,6 +101,22 @@ TEST(SelectSources, TheViewAtTheSamePlaceComesFirst) {
   }
 }
 
+TEST(SelectSources, NearViewsComeBeforeFarOnes) {
+  // All of them see the whole scene: nothing but the angle between the lines of sight tells them apart.
+  std::vector<views::ViewSummary> views;
+  for (const double x : {0.5, -0.04, 0.35, 0.05, -0.45, 0.06, -0.05}) views.push_back(summary(pose_at({x, 0, 0})));
+  NovelCamera novel = novel_of(scene_camera(), Pose::Identity());
+  novel.f *= 4;
+  EXPECT_THAT(select_sources(novel, views, {}), ::testing::UnorderedElementsAre(1, 3, 5, 6));
+}
+
+TEST(SelectSources, OfTwoViewsAlongTheLineOfSightTheOneNearerToTheSceneCounts) {
+  const std::vector<views::ViewSummary> views = {summary(pose_at({0, 0, -0.5})), summary(pose_at({0, 0, 0.1}))};
+  NovelCamera novel = novel_of(scene_camera(), Pose::Identity());
+  novel.f *= 4;
+  EXPECT_THAT(select_sources(novel, views, {.max_sources = 1}), ElementsAre(1));
+}
+
 TEST(SelectSources, CoverageComesBeforeRepetition) {
   // Three views of the left half and one of the right half: two sources must cover both.
   std::vector<views::ViewSummary> views;

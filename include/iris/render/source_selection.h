@@ -12,8 +12,8 @@ namespace iris::render {
 // Indices into `views` of at most options.max_sources views, the most useful first. A view qualifies if what it can see
 // (the pyramid between its nearest and its farthest disparity) overlaps what the novel camera sees (up to the distance
 // of disparity 1). Views are then taken one by one: each time the one that adds most to the rays of the novel view that
-// are not yet well covered, where a view near to the novel line of sight counts more. Only views of one sub-map may be
-// given.
+// are not yet well covered, where a view counts the more the smaller the angle between its line of sight and the novel
+// one, and the nearer it is to the surface. Only views of one sub-map may be given.
 std::vector<int> select_sources(const NovelCamera& camera, const std::vector<views::ViewSummary>& views,
                                 const DsnvOptions& options);
 

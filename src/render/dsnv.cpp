@@ -645,7 +645,7 @@ void trace(const NovelCamera& camera, const std::vector<Source>& sources, const 
         }
         walks[i].meet(rays, vectors, part, x_begin > 0, hits[i]);
       }
-      if (agreement) fuse_by_agreement(constants.data(), hits.data(), count, options.blend_power, pixels);
+      if (agreement) fuse_by_agreement(constants.data(), hits.data(), count, pixels);
       const int columns = std::min(kTile, width - x_begin), rows = y_end - y_begin;
       for (int y = 0; y < rows; ++y) {
         for (int x = 0; x < columns; ++x) {

@@ -49,20 +49,13 @@ void DsnvOptions::declare(OptionSet& set) {
       "Holes of the picture up to this width are filled from the background beside them; 0 leaves all of them dark.");
   set.add("sharpen", sharpen, "times", 0, 3,
           "Colours are looked up between the pixels of the views, which blurs them a little on average; 1 undoes just "
-          "that, 0 nothing.");
-  set.add(
-      "blend_power", blend_power, "", 1, 8,
-      "Views that agree on a surface are blended with this power of their weights: 1 mixes all of them (least noise), "
-      "more lets the nearest view dominate (sharper where poses are not exact), with soft seams all the same.");
-  set.add(
-      "neighbours", neighbours, "", 0, 16,
-      "Views that each stored view is compared with before pictures are made, for the three options below; 0 leaves "
-      "the views as they are.");
+          "that (and makes noise stronger), 0 nothing.");
+  set.add("neighbours", neighbours, "", 0, 16,
+          "Views that each stored view is compared with before pictures are made, for the two options below; 0 leaves "
+          "the views as they are.");
   set.add("free_space", free_space,
           "Surfaces of a view that lie where its neighbours see through are replaced by what most views support, holes "
           "get the neighbours' surfaces, and agreeing disparities are averaged.");
-  set.add("align_views", align_views,
-          "Poses of the views are corrected by fractions of a pixel, until neighbouring pictures fit together.");
   set.add("even_brightness", even_brightness,
           "Takes out what automatic exposure and the lens (vignetting) make of the brightness: no spots in pictures "
           "that are put together from several views.");

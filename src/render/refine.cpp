@@ -226,14 +226,13 @@ StereoView check_free_space(const StereoView& view, const std::vector<std::share
 
 struct RefinedViewStore::Impl {
   Impl(const views::ViewStore& store_, const DsnvOptions& options_, size_t cache_bytes_)
-      : store(store_), options(options_), cache_bytes(cache_bytes_), summaries(store_.summaries()) {}
+      : store(store_), options(options_), cache_bytes(cache_bytes_) {}
 
   const views::ViewStore& store;
   DsnvOptions options;
   size_t cache_bytes;
-  std::vector<views::ViewSummary> summaries;
   std::vector<std::vector<int>> neighbours;
-  std::vector<ViewCorrection> corrections;  // empty = none
+  std::vector<Brightness> brightness;  // empty = as it is
 
   using Recent = std::list<std::pair<int, std::shared_ptr<const StereoView>>>;  // front = used last
   std::mutex mutex;
@@ -241,24 +240,15 @@ struct RefinedViewStore::Impl {
   std::unordered_map<int, Recent::iterator> cached;
   size_t bytes = 0;
 
-  // With its corrected pose.
-  std::shared_ptr<const StereoView> placed(int index) const {
-    auto view = store.load(index);
-    if (corrections.empty()) return view;
-    auto moved = std::make_shared<StereoView>(*view);
-    moved->world_from_cam = corrections[static_cast<size_t>(index)].world_from_cam;
-    return moved;
-  }
-
   std::shared_ptr<const StereoView> make(int index) const {
-    auto view = std::make_shared<StereoView>(*placed(index));
+    auto view = std::make_shared<StereoView>(*store.load(index));
     if (options.free_space) {
       std::vector<std::shared_ptr<const StereoView>> others;
-      for (const int k : neighbours[static_cast<size_t>(index)]) others.push_back(placed(k));
+      for (const int k : neighbours[static_cast<size_t>(index)]) others.push_back(store.load(k));
       *view = check_free_space(*view, others);
     }
     if (options.even_brightness) {
-      view->image = even_image(view->image, view->camera, corrections[static_cast<size_t>(index)].brightness);
+      view->image = even_image(view->image, view->camera, brightness[static_cast<size_t>(index)]);
     }
     return view;
   }
@@ -271,21 +261,17 @@ struct RefinedViewStore::Impl {
 RefinedViewStore::RefinedViewStore(const views::ViewStore& store, const DsnvOptions& options, size_t cache_bytes)
     : impl_(std::make_unique<Impl>(store, options, cache_bytes)) {
   if (options.neighbours <= 0) {
-    impl_->options.free_space = impl_->options.align_views = impl_->options.even_brightness = false;
+    impl_->options.free_space = impl_->options.even_brightness = false;
     return;
   }
-  impl_->neighbours = find_neighbours(impl_->summaries, options.neighbours);
-  if (options.align_views || options.even_brightness) {
-    impl_->corrections = find_corrections(store, impl_->neighbours, options);
-    for (size_t i = 0; i < impl_->summaries.size(); ++i) {
-      impl_->summaries[i].world_from_cam = impl_->corrections[i].world_from_cam;
-    }
-  }
+  if (!options.free_space && !options.even_brightness) return;
+  impl_->neighbours = find_neighbours(store.summaries(), options.neighbours);
+  if (options.even_brightness) impl_->brightness = find_brightness(store, impl_->neighbours);
 }
 
 RefinedViewStore::~RefinedViewStore() = default;
 
-const std::vector<views::ViewSummary>& RefinedViewStore::summaries() const { return impl_->summaries; }
+const std::vector<views::ViewSummary>& RefinedViewStore::summaries() const { return impl_->store.summaries(); }
 
 std::shared_ptr<const StereoView> RefinedViewStore::load(int index) const {
   Impl& s = *impl_;

@@ -142,8 +142,7 @@ HWY_INLINE Floats byte_of(hn::Vec<WordTag> word) {
   return hn::ConvertTo(Tag(), hn::And(hn::BitCast(di, hn::ShiftRight<8 * kByte>(word)), hn::Set(di, 255)));
 }
 
-HWY_ATTR void fuse_by_agreement(const TileSource* sources, const TileHits* hits, size_t count, int power,
-                                TilePixels& pixels) {
+HWY_ATTR void fuse_by_agreement(const TileSource* sources, const TileHits* hits, size_t count, TilePixels& pixels) {
   constexpr float kDisparityError = 0.5f;  // [px] matching and pose error together
   constexpr float kRelativeError = 0.01f;  // of the depth in the novel view
   constexpr float kRim = 16;               // [px] towards its border a source fades out, which hides the seam
@@ -218,10 +217,8 @@ HWY_ATTR void fuse_by_agreement(const TileSource* sources, const TileHits* hits,
         const auto to_border = hn::Min(hn::Min(x, hn::Sub(set(static_cast<float>(source.width - 1)), x)),
                                        hn::Min(y, hn::Sub(set(static_cast<float>(source.height - 1)), y)));
         const auto fade = hn::Min(hn::Max(hn::Mul(hn::Add(to_border, set(1)), set(1 / kRim)), set(0.05f)), set(1));
-        const auto base = hn::IfThenElseZero(
+        const auto weight = hn::IfThenElseZero(
             take, hn::Div(hn::Mul(trust, fade), hn::MulAdd(set(0.02f), along, set(source.distance))));
-        auto weight = base;
-        for (int k = 1; k < power; ++k) weight = hn::Mul(weight, base);
 
         const auto x0 = pixel_before(x, source.width), y0 = pixel_before(y, source.height);
         const auto fx = hn::Sub(x, hn::ConvertTo(d, x0)), fy = hn::Sub(y, hn::ConvertTo(d, y0));
@@ -281,8 +278,8 @@ uint64_t settle(const TileSource& source, const TileRays& rays, const TileFloats
   return HWY_DYNAMIC_DISPATCH(settle)(source, rays, wanted, max_step, hits);
 }
 
-void fuse_by_agreement(const TileSource* sources, const TileHits* hits, size_t count, int power, TilePixels& pixels) {
-  HWY_DYNAMIC_DISPATCH(fuse_by_agreement)(sources, hits, count, power, pixels);
+void fuse_by_agreement(const TileSource* sources, const TileHits* hits, size_t count, TilePixels& pixels) {
+  HWY_DYNAMIC_DISPATCH(fuse_by_agreement)(sources, hits, count, pixels);
 }
 
 }  // namespace iris::render

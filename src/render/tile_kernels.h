@@ -53,8 +53,8 @@ struct TilePixels {
 uint64_t settle(const TileSource& source, const TileRays& rays, const TileFloats& wanted, float max_step,
                 TileHits& hits);
 
-// The surface that most sources support; their colours and depths are blended by a power of their weights. Back sides
+// The surface that most sources support; their colours and depths are blended, near sources more. Back sides
 // hide nothing here: a source that sees a front there knows better.
-void fuse_by_agreement(const TileSource* sources, const TileHits* hits, size_t count, int power, TilePixels& pixels);
+void fuse_by_agreement(const TileSource* sources, const TileHits* hits, size_t count, TilePixels& pixels);
 
 }  // namespace iris::render

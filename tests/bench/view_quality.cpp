@@ -294,7 +294,7 @@ Score score(const Case& work, const Variant& variant, const fs::path& pictures) 
 }
 
 std::vector<Variant> all_variants() {
-  const render::DsnvOptions plain{.sharpen = 0, .free_space = false, .align_views = false, .even_brightness = false};
+  const render::DsnvOptions plain{.sharpen = 0, .free_space = false, .even_brightness = false};
   const auto with = [&](auto... members) {
     render::DsnvOptions options = plain;
     ((options.*members = true), ...);
@@ -303,18 +303,15 @@ std::vector<Variant> all_variants() {
   using Options = render::DsnvOptions;
   render::DsnvOptions nearest = plain;
   nearest.fusion = "nearest";
-  render::DsnvOptions sharpened = plain, sharp_blend = plain;
+  render::DsnvOptions sharpened = plain;
   sharpened.sharpen = 1;
-  sharp_blend.blend_power = 3;
   return {
       {"smallest distance (7.10)", nearest},
       {"agreement", plain},
       {"agreement, free space", with(&Options::free_space)},
-      {"agreement, aligned", with(&Options::align_views)},
       {"agreement, even brightness", with(&Options::even_brightness)},
       {"agreement, sharpened", sharpened},
-      {"agreement, sharp blend", sharp_blend},
-      {"all", with(&Options::free_space, &Options::align_views, &Options::even_brightness)},
+      {"all", with(&Options::free_space, &Options::even_brightness)},
       {"default", {}},
   };
 }

@@ -102,7 +102,7 @@ TEST(FreeSpace, AgreeingDisparitiesAreAveraged) {
   EXPECT_LT(error(checked), 0.09);
 }
 
-// Views along a short path, their images shown brighter or darker and their poses turned.
+// Views along a short path.
 std::vector<StereoView> path_views() {
   std::vector<StereoView> views;
   for (int i = 0; i < 10; ++i) {
@@ -111,36 +111,7 @@ std::vector<StereoView> path_views() {
   return views;
 }
 
-TEST(Corrections, FindThePosesThatMakeNeighboursFit) {
-  std::vector<StereoView> views = path_views();
-  std::vector<Pose> truth;
-  std::mt19937 random(8);
-  std::normal_distribution<double> error(0, 1);
-  for (StereoView& view : views) {
-    truth.push_back(view.world_from_cam);
-    const Vector3d turn = 0.003 * Vector3d(error(random), error(random), error(random));  // 0.8 px each
-    view.world_from_cam.linear() *= Eigen::AngleAxisd(turn.norm(), turn.normalized()).toRotationMatrix();
-  }
-  const views::MemoryViewStore store(views);
-  const DsnvOptions options{.align_views = true, .even_brightness = false};
-  const auto neighbours = find_neighbours(store.summaries(), 4);
-  const std::vector<ViewCorrection> corrections = find_corrections(store, neighbours, options);
-  // Only relative poses can be told: those of successive views.
-  double before = 0, after = 0;
-  for (size_t i = 1; i < views.size(); ++i) {
-    const Eigen::Matrix3d relative = truth[i - 1].linear().transpose() * truth[i].linear();
-    const auto off = [&](const Pose& a, const Pose& b) {
-      return rotation_angle(Eigen::Matrix3d(relative.transpose() * a.linear().transpose() * b.linear()));
-    };
-    before += off(views[i - 1].world_from_cam, views[i].world_from_cam);
-    after += off(corrections[i - 1].world_from_cam, corrections[i].world_from_cam);
-  }
-  std::cout << "relative rotation: " << before / 9 << " before, " << after / 9 << " rad after\n";
-  // Poses are held where they are given to be, here off by more than is usual.
-  EXPECT_LT(after, 0.3 * before);
-}
-
-TEST(Corrections, FindGainBiasAndVignetting) {
+TEST(Brightness, FindsGainBiasAndVignetting) {
   std::vector<StereoView> views = path_views();
   double log_gains = 0;
   std::vector<cv::Mat> light;
@@ -166,22 +137,21 @@ TEST(Corrections, FindGainBiasAndVignetting) {
     view.image = image;
   }
   const views::MemoryViewStore store(views);
-  const DsnvOptions options{.align_views = false, .even_brightness = true};
-  const auto corrections = find_corrections(store, find_neighbours(store.summaries(), 4), options);
+  const std::vector<Brightness> brightness = find_brightness(store, find_neighbours(store.summaries(), 4));
   double before = 0, after = 0;
   const double common = std::exp(log_gains / static_cast<double>(views.size()));  // it cannot be told from the light
   for (size_t i = 0; i < views.size(); ++i) {
-    const cv::Mat even = even_image(views[i].image, views[i].camera, corrections[i].brightness);
+    const cv::Mat even = even_image(views[i].image, views[i].camera, brightness[i]);
     before += cv::norm(views[i].image, common * light[i], cv::NORM_L1) / static_cast<double>(3 * even.total());
     after += cv::norm(even, common * light[i], cv::NORM_L1) / static_cast<double>(3 * even.total());
-    EXPECT_NEAR(corrections[i].brightness.vignetting, kVignetting, 0.05);
+    EXPECT_NEAR(brightness[i].vignetting, kVignetting, 0.05);
   }
   std::cout << "grey error: " << before / 10 << " before, " << after / 10 << " after\n";
   EXPECT_GT(before / 10, 10);
   EXPECT_LT(after / 10, 2);
 }
 
-const DsnvOptions kAll{.free_space = true, .align_views = true, .even_brightness = true};
+const DsnvOptions kAll{.free_space = true, .even_brightness = true};
 
 TEST(RefinedViewStore, IsTheSameForAnyNumberOfThreadsAndKeepsFewViews) {
   const views::MemoryViewStore store(path_views());

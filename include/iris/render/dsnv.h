@@ -23,12 +23,10 @@ struct DsnvOptions {
   std::string use_origin = "everywhere";  // disparities used: "measured", "within" segments, "everywhere"
   int fill_holes = 6;  // [px] widest hole of the picture that is filled from the background beside it; depth and source
                        // stay "hole"; >= 0
-  double sharpen = 1;  // [times] of the blur that looking colours up between pixels causes, so much is undone; >= 0
-  int blend_power = 1;  // views that agree are blended by this power of their weights: higher is sharper at seams; >= 1
+  double sharpen = 0;  // [times] of the blur that looking colours up between pixels causes, so much is undone; >= 0
   // What is done to stored views before pictures are made from them (refine.h).
   int neighbours = 5;            // views that each view is compared with; 0 = views are used as they are stored
   bool free_space = false;       // corrects surfaces that lie in what neighbours see to be free, and fills holes
-  bool align_views = false;      // turns and moves views by what their pictures differ from their neighbours'
   bool even_brightness = false;  // takes out gain, bias and vignetting of the views
   void declare(OptionSet& set);
 };

@@ -22,20 +22,10 @@ struct Brightness {
 // The image as a camera of gain 1, bias 0 and without vignetting would have taken it.
 cv::Mat even_image(const cv::Mat& image, const RectifiedCamera& camera, const Brightness& brightness);
 
-// What is found of a view by comparing its picture with its neighbours'.
-struct ViewCorrection {
-  Pose world_from_cam = Pose::Identity();
-  Brightness brightness;
-};
-
-// Poses: turned and moved until surface points have the same grey values in neighbouring pictures (at points of high
-// contrast, by Gauss-Newton over all views together; each view is held at its pose by what a pose may be wrong by).
-// Brightness: gains and biases of all views and the vignetting that they have in common, robust least squares over the
-// same surface points (Ceres). Pairs whose pictures do not fit together have no influence. `options` says which of the
-// two are wanted. Pictures are read one after the other; of each a reduced copy of 0.3 MB is kept for a limited number.
-std::vector<ViewCorrection> find_corrections(const views::ViewStore& store,
-                                             const std::vector<std::vector<int>>& neighbours,
-                                             const DsnvOptions& options);
+// Gains and biases of all views and the vignetting that they have in common: robust least squares over surface points
+// that neighbouring pictures show (Ceres). Of each view a reduced copy of 0.3 MB is kept, for a limited number of
+// views.
+std::vector<Brightness> find_brightness(const views::ViewStore& store, const std::vector<std::vector<int>>& neighbours);
 
 // The view's disparities after comparison with its neighbours' (free space). A surface that lies where neighbours see
 // through, farther than the errors of both disparities explain, is replaced by the surface that most views support (if
@@ -44,7 +34,7 @@ std::vector<ViewCorrection> find_corrections(const views::ViewStore& store,
 // count as interpolated.
 StereoView check_free_space(const StereoView& view, const std::vector<std::shared_ptr<const StereoView>>& neighbours);
 
-// The views of another store after all that `options` asks for. Neighbours and corrections are found once, when it is
+// The views of another store after all that `options` asks for. Neighbours and brightness are found once, when it is
 // made; a view is worked on when it is loaded, and at most `cache_bytes` of finished ones are kept. The store must
 // outlive this one. Bit-identical for any number of threads and any order of loading.
 class RefinedViewStore : public views::ViewStore {

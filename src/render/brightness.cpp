@@ -1,7 +1,6 @@
-// Poses and brightness of stored views from what neighbouring pictures show of the same surface points.
+// Brightness of stored views from what neighbouring pictures show of the same surface points.
 #include <ceres/ceres.h>
 
-#include <Eigen/SparseCholesky>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -18,11 +17,6 @@
 namespace iris::render {
 namespace {
 
-using Eigen::Vector2d;
-using Eigen::Vector3d;
-using Vector12d = Eigen::Matrix<double, 12, 1>;
-using Matrix12d = Eigen::Matrix<double, 12, 12>;
-
 constexpr int kDarkest = 8, kBrightest = 247;  // [grey levels] beyond, the image may be cut off
 constexpr int kDisparityScale = 64;            // of the disparities kept
 
@@ -32,12 +26,12 @@ struct Point {
   float grey = 0;                     // in the reduced one
 };
 
-// What is kept of a view: its image and disparities at half size, points of high contrast (whose grey value tells where
-// they are), and smooth ones (whose grey value does not depend on that).
+// What is kept of a view: its image and disparities at half size, and points where the picture is smooth: their grey
+// values do not depend on exact poses.
 struct Reduced {
   cv::Mat1b image;
   cv::Mat1w disparity;  // [px / kDisparityScale] 0 = none
-  std::vector<Point> edges, plains;
+  std::vector<Point> points;
 };
 
 // Half-size pixel of a full-size coordinate: a pixel of the reduced image is the mean of 2x2.
@@ -53,9 +47,8 @@ float sample(const cv::Mat1b& image, float x, float y) {
 }
 
 Reduced reduce(const StereoView& view) {
-  constexpr int kEdgeCell = 10, kPlainCell = 24;  // [reduced px] one point each
-  constexpr float kEdge = 8;                      // [grey levels per reduced px] least slope of an edge
-  constexpr int kMargin = 3;                      // [reduced px]
+  constexpr int kCell = 24;   // [reduced px] one point each
+  constexpr int kMargin = 3;  // [reduced px]
   Reduced result;
   cv::Mat grey = view.image;
   if (grey.channels() == 3) cv::cvtColor(view.image, grey, cv::COLOR_BGR2GRAY);
@@ -84,25 +77,19 @@ Reduced reduce(const StereoView& view) {
                                       static_cast<float>(i(y + 1, x) - i(y - 1, x)));
     }
   }
-  const auto collect = [&](int cell, bool steepest, std::vector<Point>& points) {
-    for (int y0 = 0; y0 < small.rows; y0 += cell) {
-      for (int x0 = 0; x0 < small.cols; x0 += cell) {
-        cv::Point best(-1, -1);
-        for (int y = y0; y < std::min(y0 + cell, small.rows); ++y) {
-          for (int x = x0; x < std::min(x0 + cell, small.cols); ++x) {
-            if (slope(y, x) < (steepest ? kEdge : 0.0f)) continue;
-            const bool better = best.x < 0 || (steepest ? slope(y, x) > slope(best) : slope(y, x) < slope(best));
-            if (better) best = {x, y};
-          }
+  for (int y0 = 0; y0 < small.rows; y0 += kCell) {
+    for (int x0 = 0; x0 < small.cols; x0 += kCell) {
+      cv::Point best(-1, -1);
+      for (int y = y0; y < std::min(y0 + kCell, small.rows); ++y) {
+        for (int x = x0; x < std::min(x0 + kCell, small.cols); ++x) {
+          if (slope(y, x) >= 0 && (best.x < 0 || slope(y, x) < slope(best))) best = {x, y};
         }
-        if (best.x < 0) continue;
-        const auto x = static_cast<float>(2 * best.x), y = static_cast<float>(2 * best.y);
-        points.push_back({x, y, disparity(2 * best.y, 2 * best.x), sample(result.image, half(x), half(y))});
       }
+      if (best.x < 0) continue;
+      const auto x = static_cast<float>(2 * best.x), y = static_cast<float>(2 * best.y);
+      result.points.push_back({x, y, disparity(2 * best.y, 2 * best.x), sample(result.image, half(x), half(y))});
     }
-  };
-  collect(kEdgeCell, true, result.edges);
-  collect(kPlainCell, false, result.plains);
+  }
   return result;
 }
 
@@ -159,132 +146,6 @@ struct Pair {
   int i = 0, j = 0;
 };
 
-// The line grey_j = slope * grey_i + offset through pairs of grey values.
-struct GreyLine {
-  double slope = 1, offset = 0;
-};
-GreyLine line_through(const std::vector<Vector2d>& greys) {
-  Vector2d mean = Vector2d::Zero(), square = Vector2d::Zero();
-  for (const Vector2d& g : greys) mean += g;
-  mean /= static_cast<double>(greys.size());
-  for (const Vector2d& g : greys) square += (g - mean).cwiseAbs2();
-  GreyLine line;
-  line.slope = std::clamp(std::sqrt(square.y() / std::max(square.x(), 1e-9)), 0.5, 2.0);
-  line.offset = mean.y() - line.slope * mean.x();
-  return line;
-}
-
-// Normal equations of a pair: e = grey_j - line(grey_i) over small turns and shifts of both views, each in its own
-// camera frame (rotation first).
-struct PairEquations {
-  Matrix12d h = Matrix12d::Zero();
-  Vector12d b = Vector12d::Zero();
-};
-
-PairEquations pair_equations(const Reduced& vi, const Reduced& vj, const RectifiedCamera& ci, const RectifiedCamera& cj,
-                             const Pose& j_from_i) {
-  constexpr size_t kFewest = 60;         // points
-  constexpr double kGreyError = 8;       // [grey levels] noise, texture at half size, shine
-  constexpr double kIndependent = 0.05;  // share of the points that are: neighbours err alike, depths are not exact
-  constexpr double kMostOff = 25;        // [grey levels] mean error of pictures that do not belong together
-  PairEquations equations;
-  const DisparityMap map(cj, ci, j_from_i);
-  struct Match {
-    const Point* point;
-    DisparityMap::Image at;
-  };
-  std::vector<Match> matches;
-  std::vector<Vector2d> greys;
-  for (const Point& point : vi.edges) {
-    Match match{.point = &point, .at = {}};
-    if (!shows(vj, map, point, match.at)) continue;
-    matches.push_back(match);
-    greys.emplace_back(point.grey, sample(vj.image, half(match.at.x), half(match.at.y)));
-  }
-  if (matches.size() < kFewest) return equations;
-  const GreyLine line = line_through(greys);
-  double off = 0;
-  for (const Vector2d& g : greys) off += std::abs(g.y() - line.slope * g.x() - line.offset);
-  if (off > kMostOff * static_cast<double>(greys.size())) return equations;
-  for (size_t k = 0; k < matches.size(); ++k) {
-    const Match& match = matches[k];
-    const float x = half(match.at.x), y = half(match.at.y);
-    const Vector2d slope(0.25 * (sample(vj.image, x + 1, y) - sample(vj.image, x - 1, y)),
-                         0.25 * (sample(vj.image, x, y + 1) - sample(vj.image, x, y - 1)));  // per full pixel
-    const Vector3d in_i = ci.point(match.point->x, match.point->y, match.point->disparity), in_j = j_from_i * in_i;
-    const double per_z = 1 / in_j.z();
-    const Vector3d g(slope.x() * cj.f * per_z, slope.y() * cj.f * per_z,
-                     -cj.f * per_z * per_z * (slope.x() * in_j.x() + slope.y() * in_j.y()));
-    const Vector3d in_frame_i = j_from_i.linear().transpose() * g;
-    Vector12d jacobian;
-    jacobian << in_i.cross(in_frame_i), in_frame_i, -in_j.cross(g), -g;
-    const double error = greys[k].y() - line.slope * greys[k].x() - line.offset;
-    const double weight =
-        kIndependent / (kGreyError * kGreyError) * std::min(1.0, kGreyError / std::max(std::abs(error), 1e-9));
-    equations.h.noalias() += weight * jacobian * jacobian.transpose();
-    equations.b.noalias() += weight * error * jacobian;
-  }
-  return equations;
-}
-
-void align(const std::vector<views::ViewSummary>& views, const std::vector<Pair>& pairs, ReducedViews& reduced,
-           std::vector<ViewCorrection>& corrections) {
-  constexpr int kRounds = 4;
-  constexpr double kTurn = 0.002;  // [rad] a pose is usually right to that,
-  constexpr double kShift = 0.03;  // [baselines] and to this
-  const int count = static_cast<int>(views.size());
-  for (int round = 0; round < kRounds; ++round) {
-    std::vector<PairEquations> equations(pairs.size());
-    parallel_chunks(0, static_cast<int>(pairs.size()), 8, [&](int begin, int end) {
-      for (int k = begin; k < end; ++k) {
-        const auto [i, j] = pairs[static_cast<size_t>(k)];
-        const auto si = static_cast<size_t>(i), sj = static_cast<size_t>(j);
-        const Pose j_from_i = corrections[sj].world_from_cam.inverse() * corrections[si].world_from_cam;
-        equations[static_cast<size_t>(k)] =
-            pair_equations(*reduced.get(i), *reduced.get(j), views[si].camera, views[sj].camera, j_from_i);
-      }
-    });
-    std::vector<Eigen::Triplet<double>> entries;
-    Eigen::VectorXd right = Eigen::VectorXd::Zero(6 * count);
-    for (int i = 0; i < count; ++i) {
-      const auto si = static_cast<size_t>(i);
-      const Pose moved = views[si].world_from_cam.inverse() * corrections[si].world_from_cam;
-      const Eigen::AngleAxisd turn(Eigen::Matrix3d(moved.linear()));
-      const double shift = kShift * views[si].camera.baseline;
-      Vector6d held;
-      held << turn.angle() * turn.axis() / (kTurn * kTurn), moved.translation() / (shift * shift);
-      right.segment<6>(6 * i) -= held;
-      for (int a = 0; a < 6; ++a)
-        entries.emplace_back(6 * i + a, 6 * i + a, a < 3 ? 1 / (kTurn * kTurn) : 1 / (shift * shift));
-    }
-    for (size_t k = 0; k < pairs.size(); ++k) {
-      const int at[2] = {6 * pairs[k].i, 6 * pairs[k].j};
-      for (int a = 0; a < 12; ++a) {
-        const int row = at[a / 6] + a % 6;
-        right[row] -= equations[k].b[a];
-        for (int c = 0; c < 12; ++c) {
-          const int column = at[c / 6] + c % 6;
-          if (column <= row) entries.emplace_back(row, column, equations[k].h(a, c));
-        }
-      }
-    }
-    Eigen::SparseMatrix<double> matrix(6 * count, 6 * count);
-    matrix.setFromTriplets(entries.begin(), entries.end());
-    const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> solver(matrix);
-    IRIS_CHECK(solver.info() == Eigen::Success);
-    const Eigen::VectorXd step = solver.solve(right);
-    for (int i = 0; i < count; ++i) {
-      const Vector3d turn = step.segment<3>(6 * i);
-      Pose change = Pose::Identity();
-      change.translation() = step.segment<3>(6 * i + 3);
-      if (turn.norm() > 0) change.linear() = Eigen::AngleAxisd(turn.norm(), turn.normalized()).toRotationMatrix();
-      Pose& pose = corrections[static_cast<size_t>(i)].world_from_cam;
-      pose = pose * change;
-      pose.linear() = nearest_rotation(pose.linear());
-    }
-  }
-}
-
 // Grey value of the other view predicted from this one's; [log gain, bias] of each, vignetting of both.
 struct GreyError {
   double from, to;        // grey values
@@ -327,12 +188,22 @@ double radius2(const RectifiedCamera& camera, double x, double y) {
   return ((x - camera.cx) * (x - camera.cx) + (y - camera.cy) * (y - camera.cy)) / corner_distance(camera);
 }
 
-void even_out(const std::vector<views::ViewSummary>& views, const std::vector<Pair>& pairs, ReducedViews& reduced,
-              std::vector<ViewCorrection>& corrections) {
+}  // namespace
+
+std::vector<Brightness> find_brightness(const views::ViewStore& store,
+                                        const std::vector<std::vector<int>>& neighbours) {
   constexpr size_t kFewest = 12;                               // points of a pair
   constexpr double kGreyError = 4;                             // [grey levels]
   constexpr double kGain = 0.2, kBias = 3, kVignetting = 0.3;  // usual sizes: ratio, [grey levels], ratio
   constexpr double kIndependent = 6;                           // points of a pair that err independently
+  const std::vector<views::ViewSummary>& views = store.summaries();
+  IRIS_CHECK(neighbours.size() == views.size());
+  std::vector<Brightness> brightness(views.size());
+  std::vector<Pair> pairs;
+  for (size_t i = 0; i < views.size(); ++i) {
+    for (const int j : neighbours[i]) pairs.push_back({static_cast<int>(i), j});
+  }
+  ReducedViews reduced(store);
   std::vector<std::vector<GreyError>> matches(pairs.size());
   parallel_chunks(0, static_cast<int>(pairs.size()), 8, [&](int begin, int end) {
     for (int k = begin; k < end; ++k) {
@@ -340,9 +211,9 @@ void even_out(const std::vector<views::ViewSummary>& views, const std::vector<Pa
       const auto si = static_cast<size_t>(i), sj = static_cast<size_t>(j);
       const auto vi = reduced.get(i), vj = reduced.get(j);
       const DisparityMap map(views[sj].camera, views[si].camera,
-                             corrections[sj].world_from_cam.inverse() * corrections[si].world_from_cam);
+                             views[sj].world_from_cam.inverse() * views[si].world_from_cam);
       std::vector<GreyError>& list = matches[static_cast<size_t>(k)];
-      for (const Point& point : vi->plains) {
+      for (const Point& point : vi->points) {
         DisparityMap::Image at;
         if (!shows(*vj, map, point, at)) continue;
         const double grey = sample(vj->image, half(at.x), half(at.y));
@@ -370,7 +241,7 @@ void even_out(const std::vector<views::ViewSummary>& views, const std::vector<Pa
                                of_view[static_cast<size_t>(pairs[k].j)].data(), &vignetting);
     }
   }
-  if (problem.NumResidualBlocks() == 0) return;
+  if (problem.NumResidualBlocks() == 0) return brightness;
   for (auto& values : of_view) {
     problem.AddResidualBlock(new ceres::AutoDiffCostFunction<Held, 2, 2>(new Held{1 / kGain, 1 / kBias}), nullptr,
                              values.data());
@@ -387,17 +258,15 @@ void even_out(const std::vector<views::ViewSummary>& views, const std::vector<Pa
   options.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
-  if (!summary.IsSolutionUsable()) return;
+  if (!summary.IsSolutionUsable()) return brightness;
   double mean = 0;
   for (const auto& values : of_view) mean += values[0];
   mean /= static_cast<double>(of_view.size());
   for (size_t i = 0; i < views.size(); ++i) {
-    corrections[i].brightness = {
-        .gain = std::exp(of_view[i][0] - mean), .bias = of_view[i][1], .vignetting = vignetting};
+    brightness[i] = {.gain = std::exp(of_view[i][0] - mean), .bias = of_view[i][1], .vignetting = vignetting};
   }
+  return brightness;
 }
-
-}  // namespace
 
 cv::Mat even_image(const cv::Mat& image, const RectifiedCamera& camera, const Brightness& brightness) {
   IRIS_CHECK(image.depth() == CV_8U && brightness.gain > 0);
@@ -423,23 +292,6 @@ cv::Mat even_image(const cv::Mat& image, const RectifiedCamera& camera, const Br
     }
   });
   return even;
-}
-
-std::vector<ViewCorrection> find_corrections(const views::ViewStore& store,
-                                             const std::vector<std::vector<int>>& neighbours,
-                                             const DsnvOptions& options) {
-  const std::vector<views::ViewSummary>& views = store.summaries();
-  IRIS_CHECK(neighbours.size() == views.size());
-  std::vector<ViewCorrection> corrections(views.size());
-  std::vector<Pair> pairs;
-  for (size_t i = 0; i < views.size(); ++i) {
-    corrections[i].world_from_cam = views[i].world_from_cam;
-    for (const int j : neighbours[i]) pairs.push_back({static_cast<int>(i), j});
-  }
-  ReducedViews reduced(store);
-  if (options.align_views) align(views, pairs, reduced, corrections);
-  if (options.even_brightness) even_out(views, pairs, reduced, corrections);
-  return corrections;
 }
 
 }  // namespace iris::render

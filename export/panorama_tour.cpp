@@ -12,6 +12,7 @@
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 #include "iris/pipeline/frames.h"
+#include "iris/render/refine.h"
 #include "iris/render/source_selection.h"
 
 namespace iris::exporters {
@@ -196,7 +197,9 @@ int write_panorama_tour(const Workspace& workspace, const RunOptions& options, c
   if (!request.pannellum.empty()) pannellum = read_pannellum(request.pannellum);
 
   const int submap = pipeline::summarise_frames(workspace, Poses::refined).largest_submap;
-  const auto views = workspace.views(Poses::refined, submap, size_t{256} << 20);
+  constexpr size_t kCache = size_t{256} << 20;
+  const auto stored = workspace.views(Poses::refined, submap, kCache);
+  const auto views = std::make_unique<render::RefinedViewStore>(*stored, options.library.render, kCache);
   std::vector<PoseNode> path;
   for (const PoseNode& node : workspace.pose_graph(Poses::refined).nodes) {
     if (node.submap == submap) path.push_back(node);

@@ -16,6 +16,7 @@
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 #include "iris/pipeline/frames.h"
+#include "iris/render/refine.h"
 #include "iris/tour/frames.h"
 #include "iris/tour/path_file.h"
 #include "iris/tour/scene.h"
@@ -43,17 +44,19 @@ double depth_or_usual(const views::ViewStore& views) {
 
 // What a tour needs to know of the run.
 struct Scene {
-  std::unique_ptr<views::ViewStore> views;
+  std::unique_ptr<views::ViewStore> stored;
+  std::unique_ptr<views::ViewStore> views;  // what pictures are made from; refers to those stored
   int submap = 0;
   PoseGraph graph;
   std::vector<PoseNode> nodes;  // of the sub-map
   std::optional<mapping::MapRaster> raster;
 };
 
-Scene open_scene(const Workspace& workspace) {
+Scene open_scene(const Workspace& workspace, const render::DsnvOptions& options) {
   Scene scene;
   scene.submap = pipeline::summarise_frames(workspace, Poses::refined).largest_submap;
-  scene.views = workspace.views(Poses::refined, scene.submap, kCache);
+  scene.stored = workspace.views(Poses::refined, scene.submap, kCache);
+  scene.views = std::make_unique<render::RefinedViewStore>(*scene.stored, options, kCache);
   IRIS_CHECK(!scene.views->summaries().empty());
   scene.graph = workspace.pose_graph(Poses::refined);
   for (const PoseNode& node : scene.graph.nodes) {
@@ -256,7 +259,7 @@ mapping::MapRaster tour_map(const Workspace& workspace, const RunOptions& option
 TourResult write_tour(const Workspace& workspace, const RunOptions& options, const TourRequest& request,
                       const RunControl& control) {
   const bool video = is_video_name(request.output);
-  Scene scene = open_scene(workspace);
+  Scene scene = open_scene(workspace, options.library.render);
   tour::TourOptions tour_options = options.library.tour;
   if (request.path == "walk" || request.path == "orbit" || tour_options.layout != "plain") {
     scene.raster = tour_map(workspace, options, *workspace.views(Poses::refined, scene.submap, 0), control);

@@ -275,6 +275,7 @@ const std::vector<views::ViewSummary>& RefinedViewStore::summaries() const { ret
 
 std::shared_ptr<const StereoView> RefinedViewStore::load(int index) const {
   Impl& s = *impl_;
+  if (s.neighbours.empty()) return s.store.load(index);  // nothing is asked for
   {
     const std::lock_guard lock(s.mutex);
     const auto found = s.cached.find(index);

@@ -50,9 +50,10 @@ int run(Calibrate& state) {
   for (const std::string& note : images.notes) spdlog::warn("{}", note);
   const calibrate::ViewSelection selection = calibrate::select_views(images.views, options);
   const std::string used =
-      fmt::format("{} of {} pairs of images are used ({} without target, {} blurred, {} that show nothing new)",
-                  selection.views.size(), images.views.size(), selection.unseen, selection.blurred,
-                  selection.duplicates + selection.surplus);
+      fmt::format("{} of {} pairs of images are used ({}{} without target, {} blurred, {} that show nothing new)",
+                  selection.views.size(), images.views.size() + static_cast<size_t>(images.unreadable),
+                  images.unreadable > 0 ? fmt::format("{} damaged, ", images.unreadable) : "", selection.unseen,
+                  selection.blurred, selection.duplicates + selection.surplus);
   spdlog::info("{}: {}", calibrate::to_text(target), used);
   const calibrate::StereoCalibrationResult result =
       calibrate::calibrate_stereo(selection.views, target, images.width, images.height, options);

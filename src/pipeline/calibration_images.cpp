@@ -72,6 +72,24 @@ std::vector<std::pair<fs::path, fs::path>> pair_files(const std::vector<fs::path
   return pairs;
 }
 
+// One pair of images, or why there is none.
+struct ImagePair {
+  std::string name;
+  cv::Mat1b left, right;
+  std::string problem;
+};
+
+// True if the file that an error names is a whole image: then the error is another one than damage (its size).
+bool is_whole_image(const fs::path& file) {
+  if (!session::is_image_file(file)) return false;  // a video
+  try {
+    session::read_image(file);
+    return true;
+  } catch (const InputError&) {
+    return false;
+  }
+}
+
 class Reader {
  public:
   Reader(const Target& target, const RunControl& control) : target_(target), control_(control) {}
@@ -94,30 +112,54 @@ class Reader {
     if (options.rate <= 0) options.rate = 10;  // times do not matter here
     const auto session = session::open_session(path, options);
     for (const std::string& note : session->notes()) {
-      // Numbers that are left out between images mean nothing here.
-      if (note.find("gaps between frames") == std::string::npos) images_.notes.push_back(note);
+      // Numbers that are left out between images mean nothing here; damaged images are told when they are skipped.
+      const bool told = note.find("gaps between frames") != std::string::npos ||
+                        note.find("is the first that can be read") != std::string::npos;
+      if (!told) images_.notes.push_back(note);
     }
     const CameraModel& camera = session->calibration().left;
     check_size(session->folder(), {camera.width, camera.height});
     search(session->size(), session->random_access() ? 32 : 1, [&](int i) {
-      const StereoFrame frame = session->read(i);
-      return std::tuple(
-          fmt::format("{}, pair {}",
-                      path.filename().empty() ? path.parent_path().filename().string() : path.filename().string(), i),
-          grey_of(frame.left), grey_of(frame.right));
+      ImagePair pair{.name = fmt::format(
+                         "{}, pair {}",
+                         path.filename().empty() ? path.parent_path().filename().string() : path.filename().string(),
+                         i)};
+      try {
+        const StereoFrame frame = session->read(i);
+        pair.left = grey_of(frame.left);
+        pair.right = grey_of(frame.right);
+      } catch (const InputError& error) {
+        if (is_whole_image(error.path())) throw;
+        pair.problem = error.what();
+      }
+      return pair;
     });
   }
 
   void read_files(const std::vector<fs::path>& files) {
-    const auto pairs = pair_files(files);
-    for (const auto& [left, right] : pairs) {
-      check_size(left, session::read_image(left).size());
-      check_size(right, session::read_image(right).size());
+    std::vector<std::pair<fs::path, fs::path>> pairs;
+    for (const auto& [left, right] : pair_files(files)) {
+      cv::Size left_size, right_size;
+      try {
+        left_size = session::read_image(left).size();
+        right_size = session::read_image(right).size();
+      } catch (const InputError& error) {
+        skip(error.what());
+        continue;
+      }
+      check_size(left, left_size);
+      check_size(right, right_size);
+      pairs.emplace_back(left, right);
+    }
+    if (pairs.empty()) {
+      throw InputError(files.front(), "and the other images: no pair can be read",
+                       "take the images again, or copy them again from where they are whole");
     }
     search(static_cast<int>(pairs.size()), 32, [&](int i) {
       const auto& [left, right] = pairs[static_cast<size_t>(i)];
-      return std::tuple(left.filename().string(), grey_of(session::read_image(left)),
-                        grey_of(session::read_image(right)));
+      return ImagePair{.name = left.filename().string(),
+                       .left = grey_of(session::read_image(left)),
+                       .right = grey_of(session::read_image(right))};
     });
   }
 
@@ -138,10 +180,16 @@ class Reader {
     for (const auto& [problem, count] : problems_) {
       images_.hints.push_back(fmt::format("{} (in {} images)", problem, count));
     }
+    if (images_.unreadable > 0) images_.hints.push_back(fmt::format("{} pairs cannot be read", images_.unreadable));
     return std::move(images_);
   }
 
  private:
+  void skip(const std::string& problem) {
+    images_.notes.push_back("a pair is skipped: " + problem);
+    ++images_.unreadable;
+  }
+
   template <class Read>
   void search(int count, int block, const Read& read) {
     Progress progress(control_.progress, "find target", count);
@@ -149,16 +197,21 @@ class Reader {
       if (control_.stopped()) throw Interrupted();
       const int end = std::min(begin + block, count);
       std::vector<TargetView> views(static_cast<size_t>(end - begin));
+      std::vector<std::string> unreadable(views.size());
       std::vector<std::vector<std::string>> problems(views.size());
       std::vector<std::vector<cv::Mat1b>> missing(views.size());
       parallel_chunks(begin, end, 1, [&](int from, int to) {
         for (int i = from; i < to; ++i) {
           const auto k = static_cast<size_t>(i - begin);
-          auto [name, left, right] = read(i);
+          const ImagePair pair = read(i);
+          if (!pair.problem.empty()) {
+            unreadable[k] = pair.problem;
+            continue;
+          }
           TargetView& view = views[k];
-          view.name = name;
+          view.name = pair.name;
           for (const bool is_left : {true, false}) {
-            const cv::Mat1b& image = is_left ? left : right;
+            const cv::Mat1b& image = is_left ? pair.left : pair.right;
             Detection found = calibrate::find_target(image, target_);
             if (found.corners.empty()) {
               missing[k].push_back(image);
@@ -171,6 +224,10 @@ class Reader {
         }
       });
       for (size_t k = 0; k < views.size(); ++k) {
+        if (!unreadable[k].empty()) {
+          skip(unreadable[k]);
+          continue;
+        }
         images_.views.push_back(std::move(views[k]));
         for (const std::string& problem : problems[k]) ++problems_[problem];
         constexpr size_t kKept = 6;

@@ -105,6 +105,46 @@ TEST_F(CalibrateCli, EveryFormatAndFilesByName) {
   }
 }
 
+// A text in place of an image, an empty file, a cut one: the pair is skipped by name, in folders as in lists of files.
+TEST_F(CalibrateCli, SkipsPairsWithDamagedImages) {
+  const fs::path damaged = folder_->path() / "damaged";
+  fs::create_directories(damaged);
+  fs::copy(images(), damaged, fs::copy_options::recursive);
+  write_file(damaged / "left" / "00.png", "not an image\n");
+  write_file(damaged / "right" / "04.png", "");
+  const auto skips = AllOf(HasSubstr("a pair is skipped: " + (damaged / "left" / "00.png").string() + ": "),
+                           HasSubstr("a pair is skipped: " + (damaged / "right" / "04.png").string() + ": "),
+                           HasSubstr("5 of 9 pairs of images are used (2 damaged, 1 without target, 0 blurred"));
+  const auto folder = calibrate(damaged, "from_folder.yaml", kTarget);
+  EXPECT_EQ(folder.exit_code, 0) << folder.output;
+  EXPECT_THAT(folder.output, skips);
+  std::vector<std::string> others;
+  for (const char* side : {"left", "right"}) {
+    for (int i = 0; i < kPairs + 2; ++i) others.push_back((damaged / side / fmt::format("{:02}.png", i)).string());
+  }
+  const std::string first = others.front();
+  others.erase(others.begin());
+  const auto files = calibrate(first, "from_files.yaml", kTarget, others);
+  EXPECT_EQ(files.exit_code, 0) << files.output;
+  EXPECT_THAT(files.output, skips);
+  const StereoCalibration a = calibrate::read_calibration(folder_->path() / "from_folder.yaml"),
+                          b = calibrate::read_calibration(folder_->path() / "from_files.yaml");
+  EXPECT_EQ(a.left.K, b.left.K);
+  EXPECT_EQ(a.right_from_left.matrix(), b.right_from_left.matrix());
+  // Too few remain, and none.
+  for (int i = 1; i < kPairs; ++i) {
+    const std::string text =
+        i < 5 ? std::string(read_file(damaged / "left" / fmt::format("{:02}.png", i))).substr(0, 999) : std::string();
+    write_file(damaged / "left" / fmt::format("{:02}.png", i), text);
+  }
+  const auto few = calibrate(damaged, "few.yaml", kTarget);
+  EXPECT_EQ(few.exit_code, 3) << few.output;
+  EXPECT_THAT(few.output, AllOf(HasSubstr("take more images"), HasSubstr("7 pairs cannot be read")));
+  const auto none = calibrate(first, "none.yaml", kTarget, {(damaged / "right" / "00.png").string()});
+  EXPECT_EQ(none.exit_code, 3) << none.output;
+  EXPECT_THAT(none.output, AllOf(HasSubstr(first), HasSubstr("no pair can be read")));
+}
+
 TEST_F(CalibrateCli, ErrorsNameTheCauseAndTheRemedy) {
   const auto expect = [&](const iris::testing::ProgramResult& result, int code, const auto& matcher) {
     EXPECT_EQ(result.exit_code, code) << result.output;

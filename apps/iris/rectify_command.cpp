@@ -116,8 +116,9 @@ int check_calibration(Rectify& state, const session::Session& session) {
       state.refined, calibrate::file_format(state.format, state.refined), calibration,
       fmt::format("refined by iris rectify --check --refine: right camera turned by {:.3f} {:.3f} {:.3f} deg",
                   degrees.x(), degrees.y(), degrees.z()));
-  fmt::print("written: {}\nuse it: iris run {} --session.calibration {} -o OUT\n", written.front().string(),
-             state.session, state.refined);
+  for (const fs::path& path : written) fmt::print("written: {}\n", path.string());
+  // Of two files the left one: the reader finds the other beside it.
+  fmt::print("use it: iris run {} --session.calibration {} -o OUT\n", state.session, written.front().string());
   if (!check.fits) fmt::print("turning the right camera alone is not enough: calibrate again\n");
   return check.fits ? kGood : kIncomplete;
 }

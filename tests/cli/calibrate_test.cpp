@@ -224,6 +224,17 @@ TEST_F(CalibrateCli, CheckFindsTheRoversThreePixelsAndRefineRemovesThem) {
   const auto again = check({"--session.calibration", refined});
   EXPECT_EQ(again.exit_code, 0) << again.output;
   EXPECT_THAT(again.output, HasSubstr("fits this recording"));
+  // Whatever files the format has, the command that is printed names one that can be read.
+  for (const char* format : {"ros", "euroc", "kalibr"}) {
+    const std::string name = (folder_->path() / fmt::format("refined_{}.yaml", format)).string();
+    const auto other = check({"--session.calibration", wrong, "--refine", name, "--format", format});
+    ASSERT_EQ(other.exit_code, 0) << other.output;
+    const std::string before = "--session.calibration ";
+    const size_t begin = other.output.rfind(before) + before.size();
+    const std::string named = other.output.substr(begin, other.output.find(' ', begin) - begin);
+    EXPECT_THAT(other.output, HasSubstr("written: " + named + "\n"));
+    EXPECT_NEAR(calibrate::read_calibration(named).right.K(1, 2), 141, 1e-9) << named;
+  }
   EXPECT_EQ(run_program({"rectify", rover}).exit_code, 2);
   EXPECT_EQ(run_program({"rectify", rover, "-o", (folder_->path() / "r").string(), "--refine", refined}).exit_code, 2);
 }

@@ -126,6 +126,9 @@ int check_calibration(Rectify& state, const session::Session& session) {
 int run(Rectify& state) {
   state.arguments.resolve();
   if (state.out.empty() && !state.check) throw UsageError("give -o DIR for the rectified images, or --check");
+  if (!state.out.empty() && state.check) {
+    throw UsageError("--check writes no images: leave out -o, or --check (--refine FILE writes a calibration)");
+  }
   if (!state.refined.empty()) calibrate::file_format(state.format, state.refined);  // a wrong name now, not at the end
   const auto session = session::open_session(state.session, state.arguments.options.library.session);
   for (const std::string& note : session->notes()) spdlog::warn("{}", note);

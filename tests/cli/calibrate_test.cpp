@@ -200,6 +200,14 @@ TEST_F(CalibrateCli, ErrorsNameTheCauseAndTheRemedy) {
   EXPECT_FALSE(fs::exists(folder_->path() / "x.yaml"));
 }
 
+TEST_F(CalibrateCli, CheckingAndWritingImagesExcludeEachOther) {
+  const fs::path out = folder_->path() / "rectified";
+  const auto result = run_program({"rectify", images().string(), "--check", "-o", out.string()});
+  EXPECT_EQ(result.exit_code, 2) << result.output;
+  EXPECT_THAT(result.output, HasSubstr("--check writes no images: leave out -o"));
+  EXPECT_FALSE(fs::exists(out));
+}
+
 // The rover's right image lies 3 px low; its calibration says so. Without that the check finds it, the refinement
 // removes it, and the refined file passes the check.
 TEST_F(CalibrateCli, CheckFindsTheRoversThreePixelsAndRefineRemovesThem) {

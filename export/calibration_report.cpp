@@ -180,7 +180,8 @@ std::string calibration_report_html(const CalibrationReport& report) {
   html += row(
       {"views", fmt::format("{}", r.left_views), fmt::format("{}", r.right_views), fmt::format("{} pairs", r.pairs)});
   html += row({"RMS, both cameras calibrated together", pixels(r.left_rms), pixels(r.right_rms), pixels(r.rms)});
-  html += row({"RMS, each camera alone", "", "", pixels(r.start_rms)});
+  html +=
+      row({"RMS before that: each camera calibrated alone, the rig as one pair shows it", "", "", pixels(r.start_rms)});
   html += row({"standard deviation of a coordinate", "", "", pixels(r.sigma)});
   html += "</table>\n";
   html += fmt::format(

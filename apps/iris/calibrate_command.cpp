@@ -65,7 +65,7 @@ int run(Calibrate& state) {
   const std::string comment =
       fmt::format("iris calibrate --target {}, {} pairs, RMS {:.3f} px", state.target, result.pairs, result.rms);
   const std::vector<fs::path> written = calibrate::write_calibration(state.out, format, result.calibration, comment);
-  spdlog::info("RMS {:.3f} px (left {:.3f}, right {:.3f}), before the joint optimisation {:.3f} px", result.rms,
+  spdlog::info("RMS {:.3f} px (left {:.3f}, right {:.3f}), before both were calibrated together {:.3f} px", result.rms,
                result.left_rms, result.right_rms, result.start_rms);
   for (const calibrate::Parameter& p : result.parameters) {
     spdlog::info("  {:<14} {:>12.5g} +- {:.2g} {}", p.name, p.value, p.sigma, p.unit);

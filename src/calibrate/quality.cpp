@@ -43,6 +43,27 @@ constexpr const char* kPlaces[3][3] = {{"upper left", "top", "upper right"},
                                        {"left side", "middle", "right side"},
                                        {"lower left", "bottom", "lower right"}};
 
+// Names of the ninths of the image of which at least as large a share has no corners as of the whole image (so there
+// is always one); a cell belongs to the ninth of its centre.
+std::vector<std::string> weak_places(const cv::Mat1i& cells) {
+  const auto ninth = [](int i, int count) { return (2 * i + 1) * 3 / (2 * count); };
+  int size[3][3] = {}, empty[3][3] = {};
+  for (int y = 0; y < cells.rows; ++y) {
+    for (int x = 0; x < cells.cols; ++x) {
+      ++size[ninth(y, cells.rows)][ninth(x, cells.cols)];
+      empty[ninth(y, cells.rows)][ninth(x, cells.cols)] += cells(y, x) == 0;
+    }
+  }
+  const int all = static_cast<int>(cells.total()), all_empty = all - cv::countNonZero(cells);
+  std::vector<std::string> names;
+  for (int y = 0; y < 3; ++y) {
+    for (int x = 0; x < 3; ++x) {
+      if (empty[y][x] * all >= all_empty * size[y][x]) names.push_back(kPlaces[y][x]);
+    }
+  }
+  return names;
+}
+
 }  // namespace
 
 double DepthError::total() const { return std::hypot(calibration, matching); }
@@ -224,8 +245,10 @@ std::vector<std::string> warnings(const std::vector<TargetView>& views, const Ta
     const double covered = static_cast<double>(cv::countNonZero(cells)) / static_cast<double>(cells.total());
     constexpr double kCovered = 0.75;
     if (empty.empty() && covered < kCovered) {
-      warn(fmt::format("corners cover {:.0f} % of the {} image only: its lens distortion is a guess elsewhere",
-                       100 * covered, is_left ? "left" : "right"));
+      warn(
+          fmt::format("corners cover {:.0f} % of the {} image only, too little in the {}: its lens distortion is a "
+                      "guess there",
+                      100 * covered, is_left ? "left" : "right", fmt::join(weak_places(cells), ", ")));
     }
     const size_t first = is_left ? 0 : 4 + camera.coefficients.size();
     const Parameter& focal = result.parameters[first];

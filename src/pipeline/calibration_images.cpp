@@ -6,7 +6,6 @@
 #include <cctype>
 #include <map>
 #include <opencv2/imgproc.hpp>
-#include <optional>
 #include <utility>
 
 #include "iris/core/error.h"
@@ -107,7 +106,8 @@ class Reader {
                      "a calibration holds for one resolution: give images of one size");
   }
 
-  void read_session(const fs::path& path, session::SessionOptions options) {
+  // `several`: the names of views tell their recordings apart.
+  void read_session(const fs::path& path, session::SessionOptions options, bool several) {
     options.needs_calibration = false;
     if (options.rate <= 0) options.rate = 10;  // times do not matter here
     const auto session = session::open_session(path, options);
@@ -119,11 +119,10 @@ class Reader {
     }
     const CameraModel& camera = session->calibration().left;
     check_size(session->folder(), {camera.width, camera.height});
+    const fs::path folder = path.filename().empty() ? path.parent_path() : path;
+    const std::string prefix = several ? folder.filename().string() + "/" : "";
     search(session->size(), session->random_access() ? 32 : 1, [&](int i) {
-      ImagePair pair{.name = fmt::format(
-                         "{}, pair {}",
-                         path.filename().empty() ? path.parent_path().filename().string() : path.filename().string(),
-                         i)};
+      ImagePair pair{.name = prefix + session->frame_name(i)};
       try {
         const StereoFrame frame = session->read(i);
         pair.left = grey_of(frame.left);
@@ -258,7 +257,7 @@ CalibrationImages read_calibration_images(const std::vector<fs::path>& images, c
     if (fs::is_regular_file(path) && session::is_image_file(path)) {
       files.push_back(path);
     } else {
-      reader.read_session(path, options);
+      reader.read_session(path, options, images.size() > 1);
     }
   }
   if (!files.empty()) reader.read_files(files);

@@ -445,6 +445,9 @@ class ImageSession : public Session {
   int size() const override { return static_cast<int>(frames_.size()); }
   int64_t stamp_ns(int frame_idx) const override { return frames_.at(static_cast<size_t>(frame_idx)).stamp_ns; }
   bool random_access() const override { return true; }
+  std::string frame_name(int frame_idx) const override {
+    return frames_.at(static_cast<size_t>(frame_idx)).left.filename().string();
+  }
 
   StereoFrame read(int frame_idx) const override {
     const RecordedFrame& recorded = frames_.at(static_cast<size_t>(frame_idx));

@@ -148,6 +148,9 @@ class VideoSession : public Session {
     return std::llround(selected_.at(static_cast<size_t>(frame_idx)) * 1e9 / rate_);
   }
   bool random_access() const override { return false; }
+  std::string frame_name(int frame_idx) const override {
+    return fmt::format("{} frame {}", left_->file().filename().string(), selected_.at(static_cast<size_t>(frame_idx)));
+  }
 
   StereoFrame read(int frame_idx) const override {
     const std::lock_guard lock(mutex_);

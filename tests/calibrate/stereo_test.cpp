@@ -465,6 +465,20 @@ TEST(Quality, WarningsNameWhatIsMissing) {
   EXPECT_THAT(all, HasSubstr("no views of the target tilted to the right, upwards, downwards"));
   EXPECT_THAT(all, HasSubstr("about the same distance"));
   EXPECT_THAT(all, HasSubstr("no corners in the upper left"));
+  // Every ninth of the left image shows a corner; of 8 x 6 cells the three columns at the left show two, all others do.
+  auto partly = views;
+  for (TargetView& view : partly) view.left = {};
+  for (int y = 0; y < 6; ++y) {
+    for (int x = 0; x < 8; ++x) {
+      if (x < 3 && (x != 1 || y % 2 == 1)) continue;
+      partly[0].left.ids.push_back(x + 8 * y);
+      partly[0].left.points.emplace_back(80 * x + 40, 80 * y + 40);
+    }
+  }
+  all.clear();
+  for (const std::string& text : warnings(partly, target, result, {})) all += text + "\n";
+  EXPECT_THAT(all, HasSubstr("corners cover 69 % of the left image only, too little in the upper left, left side, "
+                             "lower left: its lens distortion is a guess there"));
   // Many good views: no complaint.
   const auto many = target_views(target, rig, target_poses(target, rig, 25, 8), 0.05, 1);
   const auto good = calibrate(many, target);

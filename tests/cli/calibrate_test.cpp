@@ -80,8 +80,9 @@ TEST_F(CalibrateCli, WritesACalibrationAndItsReport) {
   EXPECT_NEAR(found.left.K(0, 0), truth.left.K(0, 0), 1);
   const std::string html = read_file(report);
   EXPECT_THAT(html, AllOf(HasSubstr("Stereo calibration"), HasSubstr("rows of unseen pairs"), HasSubstr("left fx"),
-                          HasSubstr("data:image/svg+xml;base64,"), HasSubstr("10 m"), Not(HasSubstr("http:")),
-                          Not(HasSubstr("https:"))));
+                          HasSubstr("data:image/svg+xml;base64,"), HasSubstr("10 m"), HasSubstr("<td>06.png</td>"),
+                          HasSubstr("RMS before that: each camera calibrated alone"), Not(HasSubstr("<td>images")),
+                          Not(HasSubstr("http:")), Not(HasSubstr("https:"))));
   EXPECT_THAT(html, AllOf(Not(HasSubstr("nan px")), Not(HasSubstr("nan mm")), Not(HasSubstr("nan cm"))));
   // Threads do not change it.
   ASSERT_EQ(calibrate(images(), "one.yaml", kTarget, {"--threads", "1", "--quiet"}).exit_code, 0);

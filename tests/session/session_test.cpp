@@ -86,6 +86,7 @@ TEST_F(SessionTest, KittiGrey) {
   EXPECT_TRUE(session->random_access());
   expect_frames(*session, {0, 1, 2, 3});
   EXPECT_EQ(session->stamp_ns(2), 210000000);
+  EXPECT_EQ(session->frame_name(2), "000002.png");
   EXPECT_EQ(session->calibration().left.K(0, 0), 50);
   EXPECT_EQ(session->calibration().left.width, 64);  // from the images: KITTI does not store it
   EXPECT_TRUE(session->calibration().rectified);
@@ -482,6 +483,7 @@ TEST_F(VideoSessionTest, SideBySide) {
   EXPECT_EQ(some->size(), 2);
   EXPECT_NEAR(grey(some->read(1).left), 60, 2);
   EXPECT_EQ(some->stamp_ns(1), 250000000);
+  EXPECT_EQ(some->frame_name(1), "run.avi frame 5");
 }
 
 TEST_F(VideoSessionTest, TopBottomAndWrongCalibration) {

@@ -57,7 +57,7 @@ struct StereoCalibrationResult {
   StereoCalibration calibration;
   std::vector<Pose> left_from_grid;             // of each view
   std::vector<ViewErrors> errors;               // of each view
-  double start_rms = 0;                         // [px] with the cameras calibrated alone, before (2.8)
+  double start_rms = 0;                         // [px] before (2.8): cameras calibrated alone, rig of one pair
   double rms = 0, left_rms = 0, right_rms = 0;  // [px] over all corners, afterwards
   double sigma = 0;                             // [px] standard deviation of one coordinate of a corner
   Eigen::MatrixXd covariance;                   // of parameters_of(calibration)

@@ -41,6 +41,9 @@ class Session {
   // Time of the left image [ns], strictly ascending.
   virtual int64_t stamp_ns(int frame_idx) const = 0;
 
+  // For people: the left image's file name; of videos the file's name and the frame's number in it.
+  virtual std::string frame_name(int frame_idx) const = 0;
+
   // The frame as 8-bit grey or BGR images of the calibration's size. May be called from many threads. Throws InputError
   // that names the file if an image is missing, damaged or cut off, or has another size.
   virtual StereoFrame read(int frame_idx) const = 0;

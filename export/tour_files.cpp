@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
+#include <numbers>
 
 #include "export/frame_folder.h"
 #include "export/mesh_file.h"
@@ -148,17 +149,25 @@ Planned plan(const TourRequest& request, const Scene& scene, tour::TourOptions& 
     const Vector3d forward = scene.nodes.front().world_from_cam.linear().col(2);
     return {tour::turn_around(position, std::atan2(forward.y(), forward.x()), options), {}};
   }
-  const tour::CameraPathFile file = tour::read_camera_path_file(request.path, options);
+  const auto given = [&](const char* name) { return request.given.contains(name); };
+  tour::TourOptions reading = options;
+  // The length of the run's own tour says nothing about another path.
+  if (!given("seconds")) reading.seconds = 0;
+  tour::CameraPathFile file = tour::read_camera_path_file(request.path, reading);
   if (file.projection != Projection::pinhole) {
     throw InputError(request.path, "asks for equirectangular pictures, tours are made with perspective ones",
                      "set \"camera_type\" to perspective");
   }
   if (file.width > 0 && file.height > 0) {
     // H.264 in its common form has even sides.
-    options.width = file.width & ~1;
-    options.height = file.height & ~1;
+    if (!given("width")) options.width = file.width & ~1;
+    if (!given("height")) options.height = file.height & ~1;
   }
-  if (file.fps > 0) options.fps = file.fps;
+  if (file.fps > 0 && !given("fps")) options.fps = file.fps;
+  if (given("ease")) file.path.ease = options.ease;
+  if (given("fov")) {
+    for (CameraKeyframe& key : file.path.keyframes) key.fov = options.fov * std::numbers::pi / 180;
+  }
   return {file.path, file.captions};
 }
 

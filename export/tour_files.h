@@ -4,6 +4,7 @@
 
 #include <filesystem>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -25,6 +26,9 @@ struct TourRequest {
   std::filesystem::path robot;            // model to draw at the recording camera; empty = none
   std::filesystem::path frames;           // folder of a video's pictures while it is made; empty = <output>.frames
   bool keep_frames = false;               // leave them there
+  // Names of tour options, without the section, that win over what a camera path file says: width, height, fps,
+  // seconds, fov, ease. Where the others are concerned, the file wins over the options.
+  std::set<std::string> given;
 };
 
 struct TourResult {

@@ -80,6 +80,14 @@ pipeline::RunControl Arguments::control() const {
   return {.progress = style, .stop = &stop_requested};
 }
 
+std::set<std::string> Arguments::given(const std::string& section) const {
+  std::set<std::string> names;
+  for (const auto& [name, text] : given_) {
+    if (name.starts_with(section + ".")) names.insert(name.substr(section.size() + 1));
+  }
+  return names;
+}
+
 void write_options(const std::filesystem::path& out, const OptionSet& set) {
   write_file(
       out / "options.toml",

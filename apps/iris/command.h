@@ -6,6 +6,7 @@
 #include <atomic>
 #include <filesystem>
 #include <functional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -47,6 +48,8 @@ class Arguments {
 
   int threads() const;
   pipeline::RunControl control() const;
+  // The names of the options of a section that stand on the command line itself.
+  std::set<std::string> given(const std::string& section) const;
 
  private:
   std::string config_;

@@ -94,6 +94,7 @@ int run(Tour& state) {
   for (const std::string& text : state.at) request.at.push_back(point("--at", text));
   if (!state.pannellum.empty() && !panorama) throw UsageError("--pannellum belongs to a tour of panoramas");
   request.robot = state.robot;
+  request.given = state.arguments.given("tour");
 
   auto workspace = workspace::Workspace::open(state.out);
   state.arguments.resolve(workspace.folder() / "options.toml");

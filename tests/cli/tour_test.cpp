@@ -94,6 +94,38 @@ TEST_F(Tours, EveryPathMakesAVideo) {
   }
 }
 
+TEST_F(Tours, TheCommandLineWinsOverACameraPathFileAndTheFileOverTheRun) {
+  const fs::path keys = folder_->path() / "settings.json";
+  write_file(keys, R"({"fps": 10, "width": 96, "height": 64, "fov": 50, "ease": 0.1, "keyframes": [
+    {"t": 0, "position": [0, 0, 0.2]}, {"t": 0.4, "position": [0.1, 0.2, 0.2], "yaw": 10}]})");
+  const auto record_with = [&](std::vector<std::string> more) {
+    const fs::path pictures = fresh("settings");
+    more.insert(more.end(), {"--path", keys.string(), "-o", pictures.string(), "--quiet"});
+    const auto result = tour(more);
+    EXPECT_EQ(result.exit_code, 0) << result.output;
+    return nlohmann::json::parse(read_file(pictures / "tour.json"));
+  };
+  const double half = std::tan(25 * M_PI / 180);
+  // The run was made with 160 x 120 and 1 s.
+  const auto file = record_with({});
+  EXPECT_EQ(file["width"], 96);
+  EXPECT_EQ(file["height"], 64);
+  EXPECT_EQ(file["fps"], 10);
+  EXPECT_EQ(file["frames"].size(), 5u);
+  EXPECT_NEAR(file["frames"][0]["f"].get<double>(), 32 / half, 1e-9);
+  const auto given = record_with({"--tour.width", "80", "--tour.fps", "20", "--tour.fov", "90"});
+  EXPECT_EQ(given["width"], 80);
+  EXPECT_EQ(given["height"], 64);
+  EXPECT_EQ(given["fps"], 20);
+  EXPECT_EQ(given["frames"].size(), 9u);
+  for (const auto& frame : given["frames"]) EXPECT_NEAR(frame["f"].get<double>(), 32, 1e-9);
+  const auto longer = record_with({"--tour.height", "48", "--tour.seconds", "0.8", "--tour.ease", "0"});
+  EXPECT_EQ(longer["height"], 48);
+  EXPECT_EQ(longer["frames"].size(), 9u);
+  // Without gathering speed, the middle of the spline of two keyframes is the middle of them after half of the time.
+  EXPECT_NEAR(longer["frames"][4]["world_from_camera"][7].get<double>(), 0.1, 1e-9);
+}
+
 TEST_F(Tours, EveryOutputHoldsTheSameFrames) {
   const std::vector<std::string> common = {"--tour.seconds", "0.5", "--quiet", "--tour.depth", "both"};
   const auto with = [&](std::vector<std::string> more) {

@@ -2,8 +2,10 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
+#include <string_view>
 
 #include "apps/iris/command.h"
 #include "export/panorama_tour.h"
@@ -15,6 +17,8 @@
 namespace iris::app {
 namespace fs = std::filesystem;
 namespace {
+
+constexpr std::string_view kKinds[] = {"along", "orbit", "walk", "panorama", "follow", "fixed"};
 
 struct Tour {
   explicit Tour(CLI::App& command) : arguments(command, {"render", "tour", "panorama"}) {}
@@ -75,6 +79,10 @@ int run(Tour& state) {
     throw UsageError("-o " + state.output +
                      ": must end in .mp4 or .webm for a video, in .html for a page of panoramas, or be a folder for "
                      "pictures (no extension, or a slash behind it)");
+  }
+  if (std::find(std::begin(kKinds), std::end(kKinds), request.path) == std::end(kKinds) && !fs::exists(request.path)) {
+    throw UsageError(
+        fmt::format("--path {}: is neither a file that exists nor one of {}", request.path, fmt::join(kKinds, ", ")));
   }
   if (!state.frames.empty()) set_frames(state.frames, request);
   if (!state.from.empty()) request.stops.push_back(point("--from", state.from));

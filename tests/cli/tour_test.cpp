@@ -255,7 +255,11 @@ TEST_F(Tours, AWalkGoesThroughFreeSpaceOrSaysWhyNot) {
   EXPECT_EQ(tour({"-o", "x.mp4", "--at", "0,0"}).exit_code, 2);
   EXPECT_EQ(tour({"-o", "x.mp4", "--path", "panorama", "--pannellum", "/tmp"}).exit_code, 2);
   EXPECT_EQ(tour({"-o", "x.jpg"}).exit_code, 2);
-  EXPECT_EQ(tour({"-o", "x.mp4", "--path", "nowhere.json"}).exit_code, 3);
+  EXPECT_EQ(tour({"-o", "x.mp4", "--path", "nowhere.json"}).exit_code, 2);
+  const auto sideways = tour({"-o", "x.mp4", "--path", "sideways"});
+  EXPECT_EQ(sideways.exit_code, 2);
+  EXPECT_THAT(sideways.output,
+              AllOf(HasSubstr("--path sideways"), HasSubstr("one of along, orbit, walk, panorama, follow, fixed")));
   EXPECT_EQ(tour({"-o", (folder_->path() / "session").string()}).exit_code, 3);  // holds other files
 }
 

@@ -45,9 +45,13 @@ std::vector<Vector2d> places_at(const FreeSpace& space, const std::vector<PoseNo
 void PanoramaOptions::declare(OptionSet& set) {
   set.section("panorama");
   set.add("width", width, "px", 64, 16384, "Width of a panorama; its height is half of it.");
-  set.add("spacing", spacing, "m", 0.01, 1000, "Least distance of panoramas that are placed automatically.");
+  set.add("spacing", spacing, "m", 0.01, 1000,
+          "Distance of panoramas that are placed automatically: at least so much, or half of it where the path turns "
+          "out of sight of the others.");
   set.add("nodes", nodes, "", 0, 10000, "At most so many panoramas; 0 = as many as the spacing gives.");
-  set.add("reach", reach, "m", 0.01, 10000, "Longest link between panoramas that see each other.");
+  set.add("reach", reach, "m", 0.01, 10000,
+          "Longest link between panoramas that see each other; those that could not be reached so are linked to the "
+          "nearest, however far.");
   set.add("sources", sources, "", 1, 255, "Stored views that a panorama is made from.");
 }
 

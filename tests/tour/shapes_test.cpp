@@ -242,6 +242,9 @@ TEST(Panoramas, SpreadOverThePathAndReachEachOther) {
     if (!space.free(at)) continue;
     EXPECT_TRUE(std::any_of(places.begin(), places.end(), [&](const Vector2d& p) { return space.straight(p, at, 0); }));
   }
+  for (size_t i = 0; i < places.size(); ++i) {
+    for (size_t k = 0; k < i; ++k) EXPECT_GE((places[i] - places[k]).norm(), 0.5 * options.spacing);
+  }
   const std::vector<PanoramaNode> linked = link_panoramas(space, places, options);
   std::vector<int> reached = {0};
   for (size_t i = 0; i < reached.size(); ++i) {
@@ -257,7 +260,7 @@ TEST(Panoramas, SpreadOverThePathAndReachEachOther) {
   options.nodes = 3;
   EXPECT_LE(panorama_places(space, nodes, options).size(), 3u);
 
-  // Places that do not see each other are linked all the same if there is no other way.
+  // Places that do not see each other are linked all the same if there is no other way, beyond the reach too (9.2 m).
   const std::vector<PanoramaNode> apart = link_panoramas(space, {{1, 1}, {8, 7}}, options);
   EXPECT_EQ(apart[0].links, std::vector<int>{1});
 }

@@ -68,22 +68,39 @@ Scene open_scene(const Workspace& workspace, const render::DsnvOptions& options)
 
 std::string text_of(const Vector2d& point) { return fmt::format("{:.2f},{:.2f}", point.x(), point.y()); }
 
-// Says why a walk is not possible, and where one could go.
-[[noreturn]] void report(const tour::WalkPlan& plan, const std::vector<Vector2d>& stops,
+// The largest of three quarters, half and a quarter of the clearance with which the walk is possible, as an advice.
+std::string smaller_clearance(const tour::FreeSpace& space, const std::vector<Vector2d>& stops,
+                              tour::TourOptions options) {
+  const double whole = options.clearance;
+  for (const double part : {0.75, 0.5, 0.25}) {
+    // As it is printed, so that the advice is what was tried.
+    const std::string text = fmt::format("{:.3g}", part * whole);
+    options.clearance = std::stod(text);
+    if (tour::plan_walk(space, stops, options).status == tour::WalkStatus::ok) {
+      return fmt::format("; with --tour.clearance {} there is a way", text);
+    }
+  }
+  return "";
+}
+
+// Says why a walk is not possible, where one could go, and with which smaller clearance it would be.
+[[noreturn]] void report(const tour::WalkPlan& plan, const tour::FreeSpace& space, const std::vector<Vector2d>& stops,
                          const tour::TourOptions& options) {
   const auto stop = static_cast<size_t>(plan.stop_idx);
   if (plan.status == tour::WalkStatus::not_free) {
     const char* where = plan.state == mapping::MapState::occupied  ? "lies in a wall or another obstacle"
                         : plan.state == mapping::MapState::unknown ? "lies where the map knows nothing"
                                                                    : "is too near to something";
-    throw UsageError(fmt::format("{} {}; {}", text_of(stops[stop]), where,
+    throw UsageError(fmt::format("{} {}; {}{}", text_of(stops[stop]), where,
                                  plan.nearest ? "the nearest place to stand is " + text_of(*plan.nearest)
-                                              : "the map has no place with so much clearance"));
+                                              : "the map has no place with so much clearance",
+                                 smaller_clearance(space, stops, options)));
   }
   throw UsageError(fmt::format(
-      "there is no way from {} to {} that keeps {} m from walls and from what the map does not know (tour.clearance){}",
+      "there is no way from {} to {} that keeps {} m from walls and from what the map does not know "
+      "(tour.clearance){}{}",
       text_of(stops[stop - 1]), text_of(stops[stop]), options.clearance,
-      plan.nearest ? "; one gets as far as " + text_of(*plan.nearest) : ""));
+      plan.nearest ? "; one gets as far as " + text_of(*plan.nearest) : "", smaller_clearance(space, stops, options)));
 }
 
 struct Planned {
@@ -103,7 +120,7 @@ Planned plan(const TourRequest& request, const Scene& scene, tour::TourOptions& 
     if (request.stops.size() < 2) throw UsageError("a walk wants --from X,Y and --to X,Y");
     const tour::FreeSpace space(*scene.raster);
     const tour::WalkPlan plan = tour::plan_walk(space, request.stops, options);
-    if (plan.status != tour::WalkStatus::ok) report(plan, request.stops, options);
+    if (plan.status != tour::WalkStatus::ok) report(plan, space, request.stops, options);
     double length = 0;
     for (size_t i = 1; i < plan.points.size(); ++i) length += (plan.points[i] - plan.points[i - 1]).norm();
     if (length < 1e-6) throw UsageError("the walk ends where it begins");

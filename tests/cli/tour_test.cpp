@@ -225,7 +225,8 @@ TEST_F(Tours, AWalkGoesThroughFreeSpaceOrSaysWhyNot) {
   const auto place_in = [](const std::string& text) {
     for (const std::string before : {"nearest place to stand is ", "one gets as far as "}) {
       const size_t at = text.find(before);
-      if (at != std::string::npos) return text.substr(at + before.size(), text.find('\n', at) - at - before.size());
+      if (at != std::string::npos)
+        return text.substr(at + before.size(), text.find_first_of(";\n", at) - at - before.size());
     }
     return std::string();
   };
@@ -244,6 +245,27 @@ TEST_F(Tours, AWalkGoesThroughFreeSpaceOrSaysWhyNot) {
   const auto& last = record["frames"].back()["world_from_camera"];
   EXPECT_NEAR(last[3].get<double>(), x, 0.06);
   EXPECT_NEAR(last[7].get<double>(), y, 0.06);
+
+  // Wherever one gets with a small clearance, a large one says which smaller one is enough, and that one is.
+  const auto with_clearance = [&](const std::string& clearance) {
+    return tour({"--path", "walk", "-o", pictures.string(), "--preview", "--quiet", "--frames", "0:1", "--from", from,
+                 "--to", to, "--tour.clearance", clearance});
+  };
+  std::string advice;
+  for (const char* clearance : {"0.025", "0.05", "0.1", "0.2", "0.4"}) {
+    const auto refused = with_clearance(clearance);
+    if (refused.exit_code == 0) continue;
+    EXPECT_EQ(refused.exit_code, 2) << refused.output;
+    const std::string before = "; with --tour.clearance ";
+    const size_t at = refused.output.find(before);
+    ASSERT_NE(at, std::string::npos) << refused.output;
+    advice = refused.output.substr(at + before.size());
+    advice = advice.substr(0, advice.find(' '));
+    EXPECT_LT(std::stod(advice), std::stod(clearance));
+    EXPECT_EQ(with_clearance(advice).exit_code, 0) << advice;
+    break;
+  }
+  EXPECT_NE(advice, "");
 
   const auto unknown = walk({"--from", from, "--to", "-50,3"});
   EXPECT_EQ(unknown.exit_code, 2);

@@ -103,6 +103,11 @@ std::string smaller_clearance(const tour::FreeSpace& space, const std::vector<Ve
       plan.nearest ? "; one gets as far as " + text_of(*plan.nearest) : "", smaller_clearance(space, stops, options)));
 }
 
+// Whether more than half of a picture has no source.
+bool mostly_nothing(const NovelView& view) {
+  return cv::countNonZero(view.source < 0) > static_cast<int>(view.source.total() / 2);
+}
+
 struct Planned {
   CameraPath path;
   std::vector<tour::Caption> captions;
@@ -342,12 +347,14 @@ TourResult write_tour(const Workspace& workspace, const RunOptions& options, con
                                                  ? open_moments(workspace, options, scene.nodes, *scene.views)
                                                  : stored_moments(scene.nodes, *scene.views);
     if (request.dynamic) extras.moment = [&](int64_t stamp_ns) { return moments->view(stamp_ns); };
+    int empty = 0;
     Progress progress(control.progress, "tour", result.frames);
     progress.update(done);
     tour::render_tour(
         path, scene.nodes, *scene.views, tour_options, options.library.render,
         [&](int frame_idx, int, const NovelView& view) {
           if (control.stopped()) throw Interrupted();
+          empty += mostly_nothing(view);
           const tour::TourFrame frame = tour::tour_frame(path, scene.nodes, tour_options, frame_idx);
           const cv::Mat image = tour_options.layout == "plain" ? cv::Mat() : moments->view(frame.stamp_ns)->image;
           folder.write(frame_idx, picture.compose(frame, tour::eased_time(path, frame.seconds), view, image),
@@ -355,6 +362,13 @@ TourResult write_tour(const Workspace& workspace, const RunOptions& options, con
           progress.update(++done);
         },
         extras);
+    // A few are usual, at the ends of a path.
+    constexpr int kMany = 10;  // one in so many
+    if (empty * kMany > result.rendered) {
+      spdlog::warn("{} of {} pictures show mostly nothing: {}", empty, result.rendered,
+                   request.dynamic ? "the recording camera did not look there at these moments"
+                                   : "the recording never looked there");
+    }
   }
   if (video) {
     write_video(request.output, folder, request.first_frame, end, picture.size(), tour_options.fps, control);

@@ -28,6 +28,7 @@ using iris::testing::run_program;
 using iris::testing::TemporaryFolder;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 class Tours : public ::testing::Test {
  protected:
@@ -124,6 +125,20 @@ TEST_F(Tours, TheCommandLineWinsOverACameraPathFileAndTheFileOverTheRun) {
   EXPECT_EQ(longer["frames"].size(), 9u);
   // Without gathering speed, the middle of the spline of two keyframes is the middle of them after half of the time.
   EXPECT_NEAR(longer["frames"][4]["world_from_camera"][7].get<double>(), 0.1, 1e-9);
+}
+
+TEST_F(Tours, PicturesOfWhatWasNeverSeenAreAnnounced) {
+  const fs::path keys = folder_->path() / "backwards.json";
+  const auto output_of = [&](double yaw) {
+    write_file(keys, fmt::format(R"({{"fps": 10, "keyframes": [{{"t": 0, "position": [0, 0, 0], "yaw": {0}}},
+                                     {{"t": 0.3, "position": [0.1, 0, 0], "yaw": {0}}}]}})",
+                                 yaw));
+    const auto result = tour({"--path", keys.string(), "-o", fresh("seen").string(), "--quiet"});
+    EXPECT_EQ(result.exit_code, 0) << result.output;
+    return result.output;
+  };
+  EXPECT_THAT(output_of(180), HasSubstr("4 of 4 pictures show mostly nothing: the recording never looked there"));
+  EXPECT_THAT(output_of(0), Not(HasSubstr("mostly nothing")));
 }
 
 TEST_F(Tours, EveryOutputHoldsTheSameFrames) {

@@ -268,7 +268,7 @@ TEST_F(Cli, ADamagedFirstImageCostsItsFrameOnly) {
   EXPECT_THAT(result.output, AllOf(HasSubstr("right/000000.png"), HasSubstr("frame 2 is the first that can be read"),
                                    HasSubstr("frame 0 is skipped"), HasSubstr("frame 1 is skipped")));
   const auto info = run_program({"info", out.string()});
-  EXPECT_THAT(info.output, AllOf(HasSubstr("14: 12 with a pose, 2 unreadable, 0 that show too little, 1 sub-maps"),
+  EXPECT_THAT(info.output, AllOf(HasSubstr("14: 12 with a pose, 2 unreadable, 0 that show too little, 1 sub-map\n"),
                                  HasSubstr("begins the path")));
   // A given search range looks for one frame that can be used: the one in the middle is tried first.
   const fs::path middle = copied("middle_truncated");

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "export/canvas.h"
+#include "export/html.h"
 #include "iris/core/atomic_file.h"
 
 namespace iris::exporters {
@@ -14,37 +15,9 @@ namespace {
 using calibrate::TargetView;
 using Vec = Eigen::Vector2d;
 
-std::string escaped(const std::string& text) {
-  std::string out;
-  for (const char c : text) {
-    if (c == '<') {
-      out += "&lt;";
-    } else if (c == '>') {
-      out += "&gt;";
-    } else if (c == '&') {
-      out += "&amp;";
-    } else {
-      out += c;
-    }
-  }
-  return out;
-}
-
-std::string base64(const std::vector<unsigned char>& bytes) {
-  static constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string text;
-  for (size_t i = 0; i < bytes.size(); i += 3) {
-    uint32_t group = 0;
-    for (size_t k = 0; k < 3; ++k) group = group << 8 | (i + k < bytes.size() ? bytes[i + k] : 0u);
-    for (size_t k = 0; k < 4; ++k) {
-      text += i + k <= bytes.size() ? kDigits[group >> (18 - 6 * k) & 63] : '=';
-    }
-  }
-  return text;
-}
-
 std::string picture(Canvas& canvas, const std::string& what) {
-  return fmt::format("<img alt=\"{0}\" src=\"data:image/svg+xml;base64,{1}\">", escaped(what), base64(canvas.bytes()));
+  return fmt::format("<img alt=\"{0}\" src=\"data:image/svg+xml;base64,{1}\">", html::escape(what),
+                     html::base64(canvas.bytes()));
 }
 
 constexpr double kScale = 100;  // residuals are drawn so many times as long
@@ -156,8 +129,8 @@ std::string calibration_report_html(const CalibrationReport& report) {
   std::string html =
       "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Stereo calibration</title>\n";
   html += std::string(kStyle) + "</head><body>\n<h1>Stereo calibration</h1>\n";
-  html += fmt::format("<p>{}, images of {} x {} px. {}.</p>\n", escaped(report.target), r.calibration.left.width,
-                      r.calibration.left.height, escaped(report.images));
+  html += fmt::format("<p>{}, images of {} x {} px. {}.</p>\n", html::escape(report.target), r.calibration.left.width,
+                      r.calibration.left.height, html::escape(report.images));
   html += "<div class=\"big\">";
   const auto big = [&](const std::string& value, const char* label) {
     html += fmt::format("<div><b>{}</b>{}</div>", value, label);
@@ -171,7 +144,7 @@ std::string calibration_report_html(const CalibrationReport& report) {
     html += "<div class=\"good\">Nothing to complain about.</div>\n";
   } else {
     html += "<div class=\"warn\"><b>What to do better</b><ul>\n";
-    for (const std::string& warning : report.warnings) html += "<li>" + escaped(warning) + "</li>\n";
+    for (const std::string& warning : report.warnings) html += "<li>" + html::escape(warning) + "</li>\n";
     html += "</ul></div>\n";
   }
 
@@ -222,7 +195,8 @@ std::string calibration_report_html(const CalibrationReport& report) {
                                    std::pair(2 * per_camera, r.parameters.size())}) {
     html += "<table>\n";
     for (size_t i = begin; i < end; ++i) {
-      html += row({escaped(r.parameters[i].name), with_sigma(r.parameters[i]), escaped(r.parameters[i].unit)});
+      html +=
+          row({html::escape(r.parameters[i].name), with_sigma(r.parameters[i]), html::escape(r.parameters[i].unit)});
     }
     html += "</table>\n";
   }
@@ -243,7 +217,7 @@ std::string calibration_report_html(const CalibrationReport& report) {
     for (const double e : rows) sum += e * e;
     const auto seen = [&](size_t count, double value) { return count == 0 ? std::string("not seen") : pixels(value); };
     std::string line =
-        row({escaped(view.name), fmt::format("{}", view.left.size()), fmt::format("{}", view.right.size()),
+        row({html::escape(view.name), fmt::format("{}", view.left.size()), fmt::format("{}", view.right.size()),
              seen(view.left.size(), r.errors[v].left_rms), seen(view.right.size(), r.errors[v].right_rms),
              rows.empty() ? "-" : pixels(std::sqrt(sum / static_cast<double>(rows.size()))),
              fmt::format("{:.2f} m", r.left_from_grid[v].translation().z())});

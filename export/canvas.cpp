@@ -7,6 +7,7 @@
 #include <cmath>
 #include <opencv2/imgproc.hpp>
 
+#include "export/html.h"
 #include "iris/core/error.h"
 #include "iris/workspace/view_files.h"
 
@@ -156,18 +157,6 @@ class PdfCanvas : private PdfBytes, public CairoCanvas {
   bool finished_ = false;
 };
 
-std::string base64(const std::vector<unsigned char>& bytes) {
-  constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string text;
-  for (size_t i = 0; i < bytes.size(); i += 3) {
-    const size_t n = std::min<size_t>(3, bytes.size() - i);
-    uint32_t value = 0;
-    for (size_t k = 0; k < 3; ++k) value = value << 8 | (k < n ? bytes[i + k] : 0u);
-    for (size_t k = 0; k < 4; ++k) text += k <= n ? kDigits[value >> (18 - 6 * k) & 63] : '=';
-  }
-  return text;
-}
-
 // Cairo's SVG surface turns text into outlines; this one keeps it.
 class SvgCanvas : public Canvas {
  public:
@@ -216,7 +205,7 @@ class SvgCanvas : public Canvas {
     text_ += fmt::format(
         "<image x=\"{:.3f}\" y=\"{:.3f}\" width=\"{:.3f}\" height=\"{:.3f}\" preserveAspectRatio=\"none\" "
         "style=\"image-rendering:pixelated\" xlink:href=\"data:image/png;base64,{}\"/>\n",
-        x, y, w, h, base64(workspace::encode_png(pixels)));
+        x, y, w, h, html::base64(workspace::encode_png(pixels)));
   }
   void clip(double x, double y, double w, double h) override {
     ++clips_;

@@ -1,6 +1,7 @@
 // Pages that open in any browser, without network.
 #pragma once
 
+#include <span>
 #include <string>
 #include <string_view>
 
@@ -8,6 +9,9 @@ namespace iris::exporters::html {
 
 // Text as it stands in a page or in an attribute.
 std::string escape(std::string_view text);
+
+// Bytes as they stand in a data: address (RFC 4648).
+std::string base64(std::span<const unsigned char> bytes);
 
 // A whole page with the project's style. `title` is text, `body` is HTML.
 std::string page(std::string_view title, std::string_view body);

@@ -8,6 +8,7 @@
 #include <numbers>
 
 #include "export/frame_folder.h"
+#include "export/html.h"
 #include "export/tour_files.h"
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
@@ -70,22 +71,6 @@ if (typeof pannellum === "undefined") {
 </html>
 )";
 
-std::string base64(const std::string& bytes) {
-  constexpr char kLetters[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string text;
-  text.reserve((bytes.size() + 2) / 3 * 4);
-  for (size_t i = 0; i < bytes.size(); i += 3) {
-    uint32_t bits = 0;
-    for (size_t k = 0; k < 3; ++k) {
-      bits = bits << 8 | (i + k < bytes.size() ? static_cast<unsigned char>(bytes[i + k]) : 0u);
-    }
-    for (size_t k = 0; k < 4; ++k) {
-      text.push_back(i + k <= bytes.size() ? kLetters[bits >> (18 - 6 * k) & 63] : '=');
-    }
-  }
-  return text;
-}
-
 void replace(std::string& text, const std::string& what, const std::string& by) {
   const size_t at = text.find(what);
   IRIS_CHECK(at != std::string::npos);
@@ -96,20 +81,6 @@ void replace(std::string& text, const std::string& what, const std::string& by) 
 std::string in_script(std::string text) {
   for (size_t at = 0; (at = text.find("</", at)) != std::string::npos; at += 3) text.replace(at, 2, "<\\/");
   return text;
-}
-
-std::string in_html(const std::string& text) {
-  std::string result;
-  for (const char c : text) {
-    if (c == '<') {
-      result += "&lt;";
-    } else if (c == '&') {
-      result += "&amp;";
-    } else {
-      result += c;
-    }
-  }
-  return result;
 }
 
 struct Pannellum {
@@ -130,7 +101,7 @@ std::string page(const std::string& title, const json& config, const json& image
                  const std::string& script) {
   std::string text = kPage;
   // What is put in first is not searched again for the later ones: the large ones come last.
-  replace(text, "@TITLE@", in_html(title));
+  replace(text, "@TITLE@", html::escape(title));
   replace(text, "@STYLE@", style);
   replace(text, "@CONFIG@", in_script(config.dump(1)));
   replace(text, "@IMAGES@", images.dump());
@@ -260,7 +231,9 @@ int write_panorama_tour(const Workspace& workspace, const RunOptions& options, c
   if (one_file) {
     json bytes = json::object();
     for (size_t i = 0; i < nodes.size(); ++i) {
-      bytes[fmt::format("node{}", i)] = base64(read_file(folder.frame(static_cast<int>(i))));
+      const std::string jpeg = read_file(folder.frame(static_cast<int>(i)));
+      bytes[fmt::format("node{}", i)] =
+          html::base64({reinterpret_cast<const unsigned char*>(jpeg.data()), jpeg.size()});
     }
     const std::string style = request.pannellum.empty()
                                   ? fmt::format("<link rel=\"stylesheet\" href=\"{}pannellum.css\">", kServer)

@@ -18,6 +18,13 @@ TEST(Html, NamesCannotBecomeMarkup) {
   }
 }
 
+// The examples of RFC 4648.
+TEST(Html, BytesAsBase64) {
+  const unsigned char bytes[] = {'f', 'o', 'o', 'b', 'a', 'r'};
+  const char* expected[] = {"", "Zg==", "Zm8=", "Zm9v", "Zm9vYg==", "Zm9vYmE=", "Zm9vYmFy"};
+  for (size_t n = 0; n <= 6; ++n) EXPECT_EQ(base64({bytes, n}), expected[n]);
+}
+
 TEST(Html, APageHoldsItsBody) {
   EXPECT_THAT(page("title", "<p>body &amp; soul</p>"), HasSubstr("<h1>title</h1>\n<p>body &amp; soul</p>"));
 }

@@ -479,6 +479,15 @@ class OutputFolder {
   Pose true_from_rectified_ = Pose::Identity();  // a turn
 };
 
+// The folder of truth of a session, or itself.
+fs::path truth_folder(const fs::path& path) { return fs::is_directory(path / "truth") ? path / "truth" : path; }
+
+// The true path in a folder of truth; it need not be there.
+fs::path true_path_in(const fs::path& folder) {
+  const fs::path tum = folder / "trajectory.tum";
+  return fs::exists(tum) ? tum : folder / "poses.txt";
+}
+
 void evaluate_output(const EvaluationRequest& request, Evaluation& evaluation) {
   OutputFolder output(request, evaluation);
   if (!fs::is_directory(request.truth)) {
@@ -491,9 +500,7 @@ void evaluate_output(const EvaluationRequest& request, Evaluation& evaluation) {
     output.evaluate_trajectories(request.truth);
     return;
   }
-  const fs::path folder = fs::is_directory(request.truth / "truth") ? request.truth / "truth" : request.truth;
-  fs::path path = folder / "trajectory.tum";
-  if (!fs::exists(path)) path = folder / "poses.txt";
+  const fs::path folder = truth_folder(request.truth), path = true_path_in(folder);
   const bool has_path = fs::exists(path);
   const bool is_aligned = has_path && output.evaluate_trajectories(path);
   if (fs::is_directory(folder / "disparity")) output.evaluate_disparities(folder / "disparity");
@@ -575,17 +582,27 @@ std::vector<std::string> compared_kinds(const EvaluationRequest& request) {
     if (fs::is_directory(request.truth)) return {"trajectory", "disparity", "map"};
     return {"trajectory"};
   }
-  if (fs::is_directory(request.truth)) {
-    throw InputError(request.truth, "is a folder, but a single file is evaluated",
-                     "give the file of truth that belongs to it");
-  }
   return {request.kind == "auto" ? kind_of(request.estimate) : request.kind};
 }
 
-Evaluation evaluate_files(const EvaluationRequest& request) {
-  Evaluation evaluation{.estimate = request.estimate.string(), .truth = request.truth.string(), .sections = {}};
+Evaluation evaluate_files(const EvaluationRequest& asked) {
+  EvaluationRequest request = asked;
   const std::string kind = compared_kinds(request).front();
-  if (fs::is_directory(request.estimate)) {
+  const bool folder = fs::is_directory(request.estimate);
+  if (!folder && fs::is_directory(request.truth)) {
+    // A session's truth has one path and one plan, but pictures and disparities of many frames.
+    if (kind == "trajectory") request.truth = true_path_in(truth_folder(request.truth));
+    if (kind == "map") request.truth = truth_folder(request.truth) / "plan.yaml";
+    if (!fs::exists(request.truth)) {
+      throw InputError(request.truth, "there is no such file", "give the file of truth that belongs to the result");
+    }
+    if (fs::is_directory(request.truth)) {
+      throw InputError(request.truth, "is a folder, but a single file is evaluated",
+                       "give the file of truth that belongs to it");
+    }
+  }
+  Evaluation evaluation{.estimate = request.estimate.string(), .truth = request.truth.string(), .sections = {}};
+  if (folder) {
     evaluate_output(request, evaluation);
     return evaluation;
   }

@@ -75,7 +75,7 @@ std::string time_text(const Facts& facts) {
 }
 
 // What a user must know before trusting the rest.
-std::vector<std::string> warnings_of(const Facts& facts) {
+std::vector<std::string> warnings_of(const Workspace& workspace, const Facts& facts) {
   std::vector<std::string> warnings;
   const pipeline::FramesSummary& summary = facts.summary;
   if (summary.submaps > 1) {
@@ -89,9 +89,13 @@ std::vector<std::string> warnings_of(const Facts& facts) {
     warnings.push_back(
         fmt::format("{} frames show too little to be placed (a covered lens, darkness, a bare wall).", summary.blind));
   }
+  if (const std::string text = summary.too_near_text(); !text.empty()) warnings.push_back(text + ".");
   int guessed = 0;
   for (const PoseEdge& edge : facts.refined.edges) guessed += edge.kind == PoseEdgeKind::guessed;
   if (guessed > 0) warnings.push_back(fmt::format("{} motions are guesses, not measured.", guessed));
+  for (const workspace::WorldRecord& world : workspace.worlds()) {
+    if (const std::string text = world.guess_text(); !text.empty()) warnings.push_back("The " + text + ".");
+  }
   return warnings;
 }
 
@@ -175,18 +179,20 @@ std::string options_table(const OptionSet& options) {
   return "<table><tr><th>option</th><th>value</th><th>default</th></tr>\n" + rows + "</table>\n";
 }
 
-// What the products are for; a file is found by its place in OUT.
+// What a product is for, by its place in OUT.
 struct Product {
-  const char* file;
+  std::string_view file;
   const char* what;
   const char* opens;
 };
 constexpr Product kProducts[] = {
     {"map/sheet.pdf", "the map on paper, true to scale", "any PDF reader"},
     {"map/sheet.svg", "the same for drawing programs", "Inkscape, browsers"},
+    {"map/sheet.png", "the same as a picture", "any picture viewer"},
     {"map/map_picture.png", "the map with path and legend", "any picture viewer"},
     {"map/layers.png", "the map, heights in colour", "any picture viewer"},
     {"map/map.yaml", "the map for robots", "ROS, Nav2 (map_server)"},
+    {"map/map.png", "the map in grey, a pixel a cell", "QGIS and other GIS"},
     {"map/map.pgw", "world file of map.png", "QGIS and other GIS"},
     {"octree/map.ot", "coloured octree with log-odds", "OctoMap, octovis"},
     {"octree/map.bt", "octree, occupied and free", "OctoMap, MoveIt"},
@@ -202,15 +208,30 @@ constexpr Product kProducts[] = {
     {"log.txt", "what happened", "any editor"},
 };
 
-std::string products_table(const fs::path& out) {
+// The well-known products first, then whatever else the stages wrote, but for the pictures that a video is made of.
+std::string products_table(const Workspace& workspace) {
+  const fs::path out = workspace.folder();
   std::string rows;
-  for (const Product& product : kProducts) {
-    if (!fs::exists(out / product.file)) continue;
+  const auto row = [&](const std::string& file, const char* what, const char* opens) {
+    if (!fs::exists(out / file)) return;
     // The log grows after the page is written.
-    const bool log = std::string_view(product.file) == "log.txt";
-    rows +=
-        fmt::format("<tr><td><a href=\"../{0}\">{0}</a></td><td>{1}</td><td>{2}</td><td>{3}</td></tr>\n", product.file,
-                    log ? "" : size_text(fs::file_size(out / product.file)), product.what, product.opens);
+    const std::string size = file == "log.txt" ? "" : size_text(fs::file_size(out / file));
+    rows += fmt::format("<tr><td><a href=\"../{0}\">{0}</a></td><td>{1}</td><td>{2}</td><td>{3}</td></tr>\n",
+                        html::escape(file), size, what, opens);
+  };
+  for (const Product& product : kProducts) row(std::string(product.file), product.what, product.opens);
+  for (const char* stage : {"trajectory", "map", "octree", "cloud", "mesh", "scene", "colmap", "nerfstudio"}) {
+    const auto record = workspace.stage(stage);
+    if (!record) continue;
+    constexpr size_t kMost = 12;  // of a stage: a folder of pictures is told by its first ones
+    size_t shown = 0;
+    for (const std::string& file : record->outputs) {
+      const bool listed = std::any_of(std::begin(kProducts), std::end(kProducts),
+                                      [&](const Product& product) { return product.file == file; });
+      if (!listed && ++shown <= kMost) row(file, "", "");
+    }
+    if (shown > kMost)
+      rows += fmt::format("<tr><td>… and {} more</td><td></td><td></td><td></td></tr>\n", shown - kMost);
   }
   return "<table><tr><th>file</th><th>size</th><th>what it is</th><th>opens with</th></tr>\n" + rows + "</table>\n";
 }
@@ -257,7 +278,11 @@ std::vector<std::string> write_view_pictures(const fs::path& folder, const Works
       picture = view->image;
     }
     const double max = views->summaries()[static_cast<size_t>(i)].max_disparity;
-    cv::hconcat(picture, stereo::disparity_picture(view->disparity.disparity, max > 0 ? max : 1), picture);
+    cv::Mat3b disparities = stereo::disparity_picture(view->disparity.disparity, max > 0 ? max : 1);
+    // What was not measured is dimmed.
+    const cv::Mat1b filled = view->disparity.origin > static_cast<int>(DisparityOrigin::corrected);
+    cv::Mat3b(disparities * 0.45).copyTo(disparities, filled);
+    cv::hconcat(picture, disparities, picture);
     const std::string name = fmt::format("view_{:06}.jpg", view->frame_idx);
     if (std::find(names.begin(), names.end(), name) != names.end()) continue;  // of short recordings
     std::vector<uint8_t> jpeg;
@@ -277,7 +302,7 @@ void write_report(const Workspace& workspace, const OptionSet& options) {
   const std::vector<std::string> view_pictures = write_view_pictures(folder, workspace);
 
   std::string body;
-  for (const std::string& warning : warnings_of(facts)) {
+  for (const std::string& warning : warnings_of(workspace, facts)) {
     body += "<p class=warning>" + html::escape(warning) + "</p>\n";
   }
   body += figures_table(workspace, facts);
@@ -299,10 +324,11 @@ void write_report(const Workspace& workspace, const OptionSet& options) {
           html::figure("motions.svg", "A motion that few pairs support is less certain.") + "</div>\n";
   body += "<h2>Stereo views</h2>\n<div class=pictures>\n";
   for (const std::string& name : view_pictures) {
-    body += html::figure(name, fmt::format("Frame {}: picture and disparities; black: none.",
-                                           std::stoi(name.substr(std::string("view_").size()))));
+    body +=
+        html::figure(name, fmt::format("Frame {}: picture and disparities; dark: filled in, not measured; black: none.",
+                                       std::stoi(name.substr(std::string("view_").size()))));
   }
-  body += "</div>\n<h2>Files</h2>\n" + products_table(out);
+  body += "</div>\n<h2>Files</h2>\n" + products_table(workspace);
   body += "<h2>Details</h2>\n";
   body += html::details("Options", options_table(options));
   if (!facts.loops.empty()) body += html::details("Loops", loops_table(facts));

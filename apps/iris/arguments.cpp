@@ -1,4 +1,5 @@
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <spdlog/sinks/sink.h>
 #include <spdlog/spdlog.h>
 #include <unistd.h>
@@ -57,7 +58,11 @@ Arguments::Arguments(CLI::App& command, const std::vector<std::string>& sections
 }
 
 void Arguments::resolve(const std::filesystem::path& saved) {
-  if (!saved.empty()) set.read_toml(saved);
+  if (!saved.empty()) {
+    if (const std::vector<std::string> unknown = set.read_saved_toml(saved); !unknown.empty()) {
+      spdlog::warn("{}: this version has no option {}; left out", saved.string(), fmt::join(unknown, ", "));
+    }
+  }
   if (!config_.empty()) set.read_toml(config_);
   set.set_all(given_);
   set.validate();

@@ -82,7 +82,7 @@ int run(Export& state) {
   exporters::RunOptions saved;
   OptionSet saved_set;
   saved.declare(saved_set);
-  saved_set.read_toml(workspace.folder() / "options.toml");
+  saved_set.read_saved_toml(workspace.folder() / "options.toml");
   std::vector<pipeline::Stage> stages = exporters::product_stages(state.arguments.options, saved_set);
   for (pipeline::Stage& stage : exporters::view_export_stages()) stages.push_back(std::move(stage));
   const std::vector<pipeline::Stage> wanted = wanted_stages(std::move(stages), state.only, workspace);

@@ -184,7 +184,11 @@ void OptionSet::set_all(const std::vector<std::pair<std::string, std::string>>& 
   }
 }
 
-void OptionSet::read_toml(const std::filesystem::path& path) {
+namespace {
+
+using Values = std::vector<std::pair<std::string, std::string>>;
+
+Values values_of(const std::filesystem::path& path) {
   if (!std::filesystem::exists(path)) throw InputError(path, "there is no such file", "check the name after --config");
   toml::table table;
   try {
@@ -193,7 +197,7 @@ void OptionSet::read_toml(const std::filesystem::path& path) {
     throw InputError(path, fmt::format("line {}: {}", error.source().begin.line, error.description()),
                      "mend this line; the file is TOML, as in stereo.disparities = 64");
   }
-  std::vector<std::pair<std::string, std::string>> values;
+  Values values;
   visit_leaves(table, "", [&](const std::string& name, const toml::node& node) {
     std::string text;
     if (const auto* v = node.as_string())
@@ -208,11 +212,34 @@ void OptionSet::read_toml(const std::filesystem::path& path) {
       throw InputError(path, name + " is neither text, number nor true/false", "see iris run --help for the options");
     values.emplace_back(name, text);
   });
+  return values;
+}
+
+}  // namespace
+
+void OptionSet::read_toml(const std::filesystem::path& path) {
+  try {
+    set_all(values_of(path));
+  } catch (const UsageError& error) {
+    throw UsageError(path.string() + ": " + error.what());
+  }
+}
+
+std::vector<std::string> OptionSet::read_saved_toml(const std::filesystem::path& path) {
+  Values values = values_of(path);
+  std::vector<std::string> unknown;
+  std::erase_if(values, [&](const auto& value) {
+    const bool known =
+        std::any_of(options_.begin(), options_.end(), [&](const Option& o) { return o.name == value.first; });
+    if (!known) unknown.push_back(value.first);
+    return !known;
+  });
   try {
     set_all(values);
   } catch (const UsageError& error) {
     throw UsageError(path.string() + ": " + error.what());
   }
+  return unknown;
 }
 
 std::string OptionSet::to_toml(const std::vector<std::string>& sections) const {

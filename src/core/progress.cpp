@@ -51,7 +51,8 @@ void Progress::print(int64_t done, Clock::time_point now) {
                stderr);
     return;
   }
-  std::string text = fmt::format("{:<10} {:>6}/{}  {:6.1f}/s", task_, done, total_, rate);
+  std::string text = fmt::format("{:<10} {:>6}/{}", task_, done, total_);
+  if (rate > 0) text += fmt::format("  {:6.1f}/s", rate);
   if (done < total_ && rate > 0) text += fmt::format("  {} left", duration_text(left));
   if (style_ == ProgressStyle::bar) {
     const int filled = total_ > 0 ? static_cast<int>(30 * done / total_) : 30;

@@ -422,6 +422,7 @@ Alignment align(const std::vector<PoseNode>& nodes, const std::vector<int>& view
   const auto describe = [&](const Eigen::Vector3d& up, const std::string& rule) {
     Alignment alignment = upright(first, up, "");
     alignment.used = fmt::format("{}, tilt of the first camera {:.1f} deg", rule, alignment.tilt / kDegree);
+    alignment.guessed = options.up == "floor";
     return alignment;
   };
   const Eigen::Vector3d first_up = -first.world_from_cam.linear().col(1);

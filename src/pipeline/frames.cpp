@@ -226,7 +226,6 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
   progress.update(first);
   int next = first;
   const bool read_in_order = !session.random_access();
-  int at_limit = 0, registered = 0;
 
   const auto source = [&](tbb::flow_control& flow) -> std::shared_ptr<Item> {
     if (next >= session.size() || control.stopped()) {
@@ -256,7 +255,6 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
     }
     const motion::ChainStep step = known.empty() ? chain.push(std::move(item->features), item->frame_idx)
                                                  : known_step(known, item->frame_idx, last_posed);
-    ++registered;
     if (step.blind) {
       record.state = workspace::FrameState::blind;
       if (known.empty()) {
@@ -291,7 +289,7 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
       write_motion_picture(options.motion_pictures, *chain.view(item->frame_idx), step, item->frame_idx,
                            stream.camera());
     }
-    if (stereo::fraction_at_limit(item->disparity, stream.stereo_options()) > kMaxAtLimit) ++at_limit;
+    if (stereo::fraction_at_limit(item->disparity, stream.stereo_options()) > kMaxAtLimit) record.too_near = true;
 
     const bool stored = step.submap != last_view_submap ||
                         views::is_new_view(last_view_pose, step.world_from_cam, stream.camera(), options.views);
@@ -322,13 +320,8 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
           tbb::make_filter<std::shared_ptr<Item>, void>(tbb::filter_mode::serial_in_order, register_frame));
   if (next < session.size()) throw Interrupted();
 
-  if (at_limit > 0) {
-    spdlog::warn(
-        "{} of {} frames have surfaces nearer than the search range reaches; run with a larger "
-        "--stereo.disparities to see them",
-        at_limit, registered);
-  }
   const FramesSummary summary = summarise_frames(workspace, workspace::Poses::odometry);
+  if (summary.too_near > 0) spdlog::warn(summary.too_near_text());
   if (summary.posed == 0) {
     throw InputError(
         session.folder(),
@@ -397,6 +390,7 @@ FramesSummary summarise_frames(const workspace::Workspace& workspace, workspace:
     ++summary.frames;
     if (record.state == workspace::FrameState::unreadable) ++summary.unreadable;
     if (record.state == workspace::FrameState::blind) ++summary.blind;
+    if (record.too_near) ++summary.too_near;
   });
   for (const PoseNode& node : workspace.pose_graph(poses).nodes) {
     ++summary.posed;
@@ -413,7 +407,16 @@ FramesSummary summarise_frames(const workspace::Workspace& workspace, workspace:
     }
   }
   summary.views = workspace.view_count();
+  if (const auto text = workspace.value(kDisparities)) summary.disparities = std::stoi(*text);
   return summary;
+}
+
+std::string FramesSummary::too_near_text() const {
+  if (too_near == 0) return "";
+  return fmt::format(
+      "{} of {} frames show surfaces nearer than the search range of {} disparities reaches; they are seen with "
+      "--stereo.disparities {} (slower)",
+      too_near, frames, disparities, (disparities + disparities / 2 + 15) / 16 * 16);
 }
 
 }  // namespace iris::pipeline

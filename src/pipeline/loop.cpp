@@ -78,8 +78,15 @@ void stand_upright(workspace::RefinedPath& path, const StoredViews& views, const
     const loop::Alignment alignment = align(
         nodes, views_of_submap[submap], [&](int frame_idx) { return views.load(frame_idx); }, options);
     world_of_submap[submap] = alignment.world_from_graph;
-    path.worlds.push_back({.submap = submap, .floor_found = alignment.floor_found, .alignment = alignment.used});
-    if (submap == 0) spdlog::info("up: {}", alignment.used);
+    path.worlds.push_back({.submap = submap,
+                           .floor_found = alignment.floor_found,
+                           .alignment = alignment.used,
+                           .up_guessed = alignment.guessed});
+    if (alignment.guessed) {
+      spdlog::warn(path.worlds.back().guess_text());
+    } else if (submap == 0) {
+      spdlog::info("up: {}", alignment.used);
+    }
   }
   for (PoseNode& node : path.nodes) {
     const Pose& world = world_of_submap.at(node.submap);

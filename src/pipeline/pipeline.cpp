@@ -2,7 +2,9 @@
 
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <chrono>
+#include <filesystem>
 #include <map>
 
 #include "iris/core/error.h"
@@ -27,10 +29,18 @@ std::vector<std::string> run_stages(const std::vector<Stage>& stages, const Opti
       continue;
     }
     if (control.stopped()) throw Interrupted();
+    const auto before = workspace.stage(stage.name);
     workspace.forget(stage.name);
     const auto start = std::chrono::steady_clock::now();
     const std::vector<std::string> outputs = stage.run(workspace, control, own);
     workspace.finish(stage.name, {.fingerprint = own, .outputs = outputs});
+    // Files of other options beside the new ones would be taken for theirs.
+    for (const std::string& file : before ? before->outputs : std::vector<std::string>()) {
+      std::error_code ignored;
+      if (std::find(outputs.begin(), outputs.end(), file) == outputs.end()) {
+        std::filesystem::remove(workspace.folder() / file, ignored);
+      }
+    }
     ran.push_back(stage.name);
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     spdlog::info("{}: done in {:.1f} s", stage.name, seconds);

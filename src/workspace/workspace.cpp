@@ -20,14 +20,14 @@ namespace fs = std::filesystem;
 namespace {
 
 // Raised whenever the tables change: a workspace of another version is refused, not misread.
-constexpr int kSchema = 3;
+constexpr int kSchema = 4;
 
 constexpr const char* kTables = R"(
 CREATE TABLE IF NOT EXISTS about  (name TEXT PRIMARY KEY, text TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS value  (name TEXT PRIMARY KEY, text TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS stage  (name TEXT PRIMARY KEY, fingerprint TEXT NOT NULL, outputs TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS frame  (frame_idx INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, state INTEGER NOT NULL,
-                                   message TEXT NOT NULL);
+                                   message TEXT NOT NULL, too_near INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS pose   (frame_idx INTEGER PRIMARY KEY, submap INTEGER NOT NULL, submap_from_cam BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS motion (frame_idx INTEGER PRIMARY KEY, reference_frame INTEGER NOT NULL, status INTEGER NOT NULL,
                                    reference_from_frame BLOB NOT NULL, covariance BLOB NOT NULL, corners INTEGER NOT NULL,
@@ -39,7 +39,8 @@ CREATE TABLE IF NOT EXISTS view   (frame_idx INTEGER PRIMARY KEY, f REAL NOT NUL
                                    max_disparity REAL NOT NULL, disparity_scale INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS refined(frame_idx INTEGER PRIMARY KEY, submap INTEGER NOT NULL, world_from_cam BLOB NOT NULL,
                                    covariance BLOB NOT NULL);
-CREATE TABLE IF NOT EXISTS world  (submap INTEGER PRIMARY KEY, floor_found INTEGER NOT NULL, alignment TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS world  (submap INTEGER PRIMARY KEY, floor_found INTEGER NOT NULL, alignment TEXT NOT NULL,
+                                   up_guessed INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS sigma (odometry REAL NOT NULL, loop REAL NOT NULL);
 CREATE TABLE IF NOT EXISTS camera (f REAL NOT NULL, cx REAL NOT NULL, cy REAL NOT NULL, baseline REAL NOT NULL,
                                    disparity_offset REAL NOT NULL, calibration TEXT NOT NULL);
@@ -168,7 +169,7 @@ class CachedViewStore : public views::ViewStore {
 
 constexpr const char* kSelectFrame =
     "SELECT frame.frame_idx, stamp_ns, state, message, submap, submap_from_cam, reference_frame, status, "
-    "reference_from_frame, covariance, corners, initial, consistent, used, rms_px "
+    "reference_from_frame, covariance, corners, initial, consistent, used, rms_px, too_near "
     "FROM frame LEFT JOIN pose USING (frame_idx) LEFT JOIN motion USING (frame_idx) ";
 
 FrameRecord frame_of(const Statement& row) {
@@ -177,6 +178,7 @@ FrameRecord frame_of(const Statement& row) {
   record.stamp_ns = row.integer(1);
   record.state = static_cast<FrameState>(row.integer(2));
   record.message = row.text(3);
+  record.too_near = row.integer(15) != 0;
   if (record.state != FrameState::posed) return record;
   record.submap = static_cast<int>(row.integer(4));
   record.submap_from_cam = pose_of(row.matrix<Eigen::Matrix<double, 3, 4>>(5));
@@ -344,8 +346,9 @@ void Workspace::add_frame(const FrameRecord& record, const StereoView* view) {
     write_view(impl_->views_folder(), *view, scale);
   }
   Transaction transaction(db);
-  Statement(db, "INSERT INTO frame VALUES (?1, ?2, ?3, ?4)")
-      .bind(record.frame_idx, record.stamp_ns, static_cast<int>(record.state), record.message)
+  Statement(db, "INSERT INTO frame VALUES (?1, ?2, ?3, ?4, ?5)")
+      .bind(record.frame_idx, record.stamp_ns, static_cast<int>(record.state), record.message,
+            static_cast<int>(record.too_near))
       .step();
   if (record.state == FrameState::posed) {
     Statement(db, "INSERT INTO pose VALUES (?1, ?2, ?3)")
@@ -427,8 +430,8 @@ void Workspace::set_refined(const RefinedPath& path) {
         .step();
   }
   for (const WorldRecord& world : path.worlds) {
-    Statement(db, "INSERT INTO world VALUES (?1, ?2, ?3)")
-        .bind(world.submap, world.floor_found, world.alignment)
+    Statement(db, "INSERT INTO world VALUES (?1, ?2, ?3, ?4)")
+        .bind(world.submap, world.floor_found, world.alignment, world.up_guessed)
         .step();
   }
   for (const LoopRecord& loop : path.loops) {
@@ -470,13 +473,22 @@ std::vector<LoopRecord> Workspace::loops() const {
   return loops;
 }
 
+std::string WorldRecord::guess_text() const {
+  if (!up_guessed) return "";
+  return fmt::format(
+      "up of sub-map {} is a guess ({}): map, layers and heights hang on it. Where it is wrong, say what is up with "
+      "--up first-camera|path|x,y,z",
+      submap, alignment);
+}
+
 std::vector<WorldRecord> Workspace::worlds() const {
-  Statement select(impl_->database, "SELECT submap, floor_found, alignment FROM world ORDER BY submap");
+  Statement select(impl_->database, "SELECT submap, floor_found, alignment, up_guessed FROM world ORDER BY submap");
   std::vector<WorldRecord> worlds;
   while (select.step()) {
     worlds.push_back({.submap = static_cast<int>(select.integer(0)),
                       .floor_found = select.integer(1) != 0,
-                      .alignment = select.text(2)});
+                      .alignment = select.text(2),
+                      .up_guessed = select.integer(3) != 0});
   }
   return worlds;
 }

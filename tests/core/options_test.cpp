@@ -234,6 +234,17 @@ TEST_F(Options, ErrorsOfAFileNameTheFileAndTheKey) {
   EXPECT_THAT(message_of<UsageError>([&] { set_.read_toml(toml_); }), HasSubstr("stereo.disparities"));
 }
 
+TEST_F(Options, ASavedFileOfAnotherVersionIsReadWithoutWhatIsNotKnown) {
+  write_file(toml_, std::string_view("[stereo]\ndisparities = 32\nold = 3\n[gone]\nlabel = 'x'\n"));
+  EXPECT_THAT(set_.read_saved_toml(toml_), ::testing::UnorderedElementsAre("stereo.old", "gone.label"));
+  EXPECT_EQ(sample_.disparities, 32);
+  EXPECT_THAT(set_.read_saved_toml(toml_), ::testing::SizeIs(2));
+  write_file(toml_, set_.to_toml());
+  EXPECT_THAT(set_.read_saved_toml(toml_), ::testing::IsEmpty());
+  write_file(toml_, std::string_view("[stereo]\ndisparities = 6.5\n"));
+  EXPECT_THAT(message_of<UsageError>([&] { set_.read_saved_toml(toml_); }), HasSubstr("stereo.disparities"));
+}
+
 TEST_F(Options, TextOfTakesTheSectionsAskedForAndChangesWithEveryValue) {
   EXPECT_EQ(set_.text_of({"stereo"}), "stereo.refine=true\nstereo.disparities=64\nstereo.margin=0.8\n");
   EXPECT_EQ(set_.text_of({"map", "stereo"}), set_.text_of({"stereo", "map"}));  // the order of declaration

@@ -47,6 +47,11 @@ TEST(Progress, JsonIsOneObjectALine) {
   EXPECT_THAT(text, HasSubstr("\"done\":5,"));
 }
 
+TEST(Progress, ARateIsShownOnceThereIsOne) {
+  EXPECT_THAT(output(ProgressStyle::lines, 0, 0), ::testing::Not(HasSubstr("/s")));
+  EXPECT_THAT(output(ProgressStyle::lines, 0, 5), HasSubstr("/s"));
+}
+
 TEST(Progress, ATaskWithoutStepsIsDone) {
   EXPECT_THAT(output(ProgressStyle::bar, 0, 0), HasSubstr("[==============================]"));
 }

@@ -8,6 +8,7 @@
 #include <atomic>
 #include <thread>
 
+#include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 #include "iris/pipeline/frames.h"
 #include "support/synthetic_session.h"
@@ -54,6 +55,22 @@ class RunStages : public ::testing::Test {
 TEST_F(RunStages, EachRunsOnce) {
   EXPECT_THAT(run(), ElementsAre("a", "b", "c"));
   EXPECT_THAT(run(), IsEmpty());
+}
+
+TEST_F(RunStages, FilesThatOtherOptionsLeftAreRemoved) {
+  stages_[0].run = [this](workspace::Workspace& workspace, const RunControl&, const std::string&) {
+    const std::vector<std::string> files = {"all.txt", numbers_.first > 1 ? "large.txt" : "small.txt"};
+    for (const std::string& file : files) write_file(workspace.folder() / file, std::string_view("x"));
+    return files;
+  };
+  const auto there = [this](const char* file) { return std::filesystem::exists(workspace_.folder() / file); };
+  run();
+  EXPECT_TRUE(there("all.txt") && there("small.txt") && !there("large.txt"));
+  write_file(workspace_.folder() / "mine.txt", std::string_view("x"));
+  numbers_.first = 2;
+  run();
+  EXPECT_TRUE(there("all.txt") && there("large.txt") && !there("small.txt"));
+  EXPECT_TRUE(there("mine.txt"));
 }
 
 TEST_F(RunStages, AnOptionRedoesItsStageAndTheOnesAfterIt) {

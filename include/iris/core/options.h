@@ -56,6 +56,10 @@ class OptionSet {
   // Throws InputError naming the file and the key.
   void read_toml(const std::filesystem::path& path);
 
+  // The same of a file that to_toml wrote, maybe another version's: options that are not known (any more) are left out
+  // and returned.
+  std::vector<std::string> read_saved_toml(const std::filesystem::path& path);
+
   // The options of these sections (none named: all) as TOML, with unit and help as comments; read_toml of it gives the
   // same values back.
   std::string to_toml(const std::vector<std::string>& sections = {}) const;

@@ -28,6 +28,7 @@ struct Alignment {
   bool floor_found = false;
   double camera_height = 0;  // [m] of the first camera above z = 0
   double tilt = 0;           // [rad] between up and the first camera's own up
+  bool guessed = false;      // the surfaces that were to tell what is up did not
   std::string used;          // which rule and how well it holds, or why another one had to do; for people
 };
 

@@ -29,15 +29,19 @@ Stage frames_stage(const session::Session& session, const Options& options, Know
 
 // What the stages after `frames` and the reports need to know of it.
 struct FramesSummary {
-  int frames = 0;      // in the session
-  int posed = 0;       // with a pose
-  int unreadable = 0;  // skipped: the image files are damaged
-  int blind = 0;       // skipped: they show too little to be placed
+  int frames = 0;       // in the session
+  int posed = 0;        // with a pose
+  int unreadable = 0;   // skipped: the image files are damaged
+  int blind = 0;        // skipped: they show too little to be placed
+  int too_near = 0;     // show surfaces that are probably nearer than the search range reaches
+  int disparities = 0;  // of the search range
   int submaps = 0;
   int largest_submap = 0;  // the one with most poses (the first of several)
   int views = 0;
   double path_length = 0;  // [m] over all sub-maps
 
+  // What to do about surfaces that are too near, in a sentence; empty without such.
+  std::string too_near_text() const;
   bool complete() const { return unreadable == 0 && submaps <= 1; }
 };
 FramesSummary summarise_frames(const workspace::Workspace& workspace, workspace::Poses poses);

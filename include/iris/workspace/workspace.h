@@ -28,7 +28,8 @@ struct FrameRecord {
   int frame_idx = 0;
   int64_t stamp_ns = 0;
   FrameState state = FrameState::posed;
-  std::string message;  // why it has no pose
+  std::string message;    // why it has no pose
+  bool too_near = false;  // surfaces are probably nearer than the disparities searched for reach
 
   // Of frames with a pose:
   int submap = 0;
@@ -48,6 +49,10 @@ struct WorldRecord {
   int submap = 0;
   bool floor_found = false;  // z = 0 is the floor; else the height of the first camera
   std::string alignment;     // how up was found, for people
+  bool up_guessed = false;   // … where no surface told it
+
+  // What to do about an up that may be wrong, in a sentence; empty if it is not.
+  std::string guess_text() const;
 };
 
 // The path after loop closure and refinement.

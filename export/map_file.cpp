@@ -88,7 +88,7 @@ void remove_old(const std::filesystem::path& folder) {
 }
 
 std::string world_file_of(const MapRaster& raster) {
-  return fmt::format("{}\n0\n0\n{}\n{}\n{}\n", raster.cell, -raster.cell, raster.x_of(0), raster.y_of(0));
+  return fmt::format("{}\n0\n0\n{}\n{:.15g}\n{:.15g}\n", raster.cell, -raster.cell, raster.x_of(0), raster.y_of(0));
 }
 
 // Pixels a cell of the pictures for people: as many as fit, whole ones; below one in the largest maps.

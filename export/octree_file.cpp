@@ -1,19 +1,19 @@
 #include "export/octree_file.h"
 
-#include <octomap/ColorOcTree.h>
-
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
 #include <bit>
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <sstream>
 #include <tuple>
 #include <vector>
 
+#include "export/octree_stream.h"
 #include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
+#include "iris/core/parallel.h"
 #include "iris/mapping/ray_fusion.h"
 
 namespace iris::exporters {
@@ -22,11 +22,12 @@ namespace {
 using mapping::SightRay;
 using mapping::SightRays;
 
-constexpr int kSide = 16;  // cubes along a side of a tile
+constexpr int kSide = OctreeStream::kTileSide;  // cubes along a side of a tile
 constexpr int kCubes = kSide * kSide * kSide;
 constexpr double kSurface = 0.35;  // membership of occupancy from here on is a surface
-constexpr int kRegionTiles = 48;   // tiles along a side of a region, of any height
-constexpr double kBundle = 0.5;    // as FlogOptions::bundle
+constexpr int kRegionShift = 5;    // 32 tiles along a side of a region, of any height
+constexpr int kRegionTiles = 1 << kRegionShift;
+constexpr double kBundle = 0.5;  // as FlogOptions::bundle
 
 struct ColourSum {
   std::array<uint64_t, 3> bgr = {};
@@ -87,54 +88,63 @@ float log_odds(const FlogCell& cell, const OctreeOptions& options) {
   return static_cast<float>((surface ? std::max(steps, 1.0) : std::min(steps, -1.0)) / 8);
 }
 
-std::string bytes_of(const octomap::AbstractOcTree& tree) {
-  std::ostringstream stream;
-  IRIS_CHECK(tree.write(stream));
-  return std::move(stream).str();
-}
-
-constexpr int kCentre = 1 << 15;  // key of the cube whose lower corner is the origin
-
-bool is_inside(const std::array<int, 3>& cube) {
-  return std::all_of(cube.begin(), cube.end(), [](int k) { return k >= -kCentre && k < kCentre; });
-}
-
-octomap::OcTreeKey key_of(const std::array<int, 3>& cube) {
-  const auto key = [](int k) { return static_cast<octomap::key_type>(k + kCentre); };
-  return {key(cube[0]), key(cube[1]), key(cube[2])};
-}
-
-// Moves a finished tile into the octree, where empty space shrinks to a few nodes.
-void store_tile(const TileIndex& index, const Tile& tile, const OctreeOptions& options, octomap::ColorOcTree& tree,
-                OctreeSummary& summary) {
-  const auto [tz, ty, tx] = index;
-  for (int i = 0; i < kCubes; ++i) {
-    const float value = log_odds(tile.cells[static_cast<size_t>(i)], options);
-    if (value == 0) continue;
-    const std::array<int, 3> cube = {tx * kSide + i % kSide, ty * kSide + i / kSide % kSide,
-                                     tz * kSide + i / (kSide * kSide)};
-    if (!is_inside(cube)) continue;
-    octomap::ColorOcTreeNode* node = tree.setNodeValue(key_of(cube), value, true);
-    ++(value > 0 ? summary.occupied : summary.free);
-    const auto found = value > 0 ? tile.colours.find(i) : tile.colours.end();
-    if (found == tile.colours.end()) continue;
-    const ColourSum& sum = found->second;
-    const auto mean = [&](size_t c) { return static_cast<uint8_t>((sum.bgr[c] + sum.count / 2) / sum.count); };
-    node->setColor(mean(2), mean(1), mean(0));
+// Moves a finished region to the files, tile by tile.
+void store_tiles(const Tiles& tiles, const OctreeOptions& options, const pipeline::RunControl& control,
+                 OctreeStream& stream, OctreeSummary& summary) {
+  constexpr int kAtOnce = 64;  // tiles; bounds the memory of what waits to be written
+  struct Stored {
+    OctreeTile tile;
+    OctreeSummary counts;
+  };
+  std::vector<const Tiles::value_type*> waiting;
+  for (const auto& entry : tiles) {
+    const auto [z, y, x] = entry.first;
+    if (OctreeStream::is_inside({x, y, z})) waiting.push_back(&entry);
   }
-  // At once, or the leaves of all empty space would be held until the end.
-  const unsigned depth = tree.getTreeDepth();
-  for (unsigned level = 1; (1 << level) <= kSide; ++level) {
-    const int side = 1 << level;
-    for (int i = 0; i < kCubes / (side * side * side); ++i) {
-      const int n = kSide / side;
-      const std::array<int, 3> cube = {tx * kSide + i % n * side, ty * kSide + i / n % n * side,
-                                       tz * kSide + i / (n * n) * side};
-      const octomap::OcTreeKey key = key_of(cube);
-      octomap::ColorOcTreeNode* node = is_inside(cube) ? tree.search(key, depth - level) : nullptr;
-      if (node && tree.nodeHasChildren(node)) tree.pruneNode(node);
+  for (size_t first = 0; first < waiting.size(); first += kAtOnce) {
+    if (control.stopped()) throw Interrupted();
+    const size_t count = std::min<size_t>(kAtOnce, waiting.size() - first);
+    std::vector<Stored> stored(count);
+    parallel_chunks(0, static_cast<int>(count), 1, [&](int begin, int end) {
+      std::vector<OctreeCube> cubes(kCubes);
+      for (int t = begin; t < end; ++t) {
+        const auto& [index, tile] = *waiting[first + static_cast<size_t>(t)];
+        Stored& result = stored[static_cast<size_t>(t)];
+        for (size_t i = 0; i < kCubes; ++i) {
+          cubes[i] = {.log_odds = log_odds(tile.cells[i], options)};
+          result.counts.occupied += cubes[i].log_odds > 0;
+          result.counts.free += cubes[i].log_odds < 0;
+        }
+        if (result.counts.occupied + result.counts.free == 0) continue;
+        for (const auto& [i, sum] : tile.colours) {
+          OctreeCube& cube = cubes[static_cast<size_t>(i)];
+          if (cube.log_odds <= 0) continue;
+          const auto mean = [&](size_t c) { return static_cast<uint8_t>((sum.bgr[c] + sum.count / 2) / sum.count); };
+          cube.rgb = {mean(2), mean(1), mean(0)};
+        }
+        const auto [z, y, x] = index;
+        result.tile = OctreeStream::subtree({x, y, z}, cubes);
+      }
+    });
+    for (const Stored& result : stored) {
+      summary.occupied += result.counts.occupied;
+      summary.free += result.counts.free;
+      if (result.tile.node.exists) stream.add(result.tile);
     }
   }
+}
+
+// Where the rays of a view can end that are cut at a distance: what holds the pyramid of its sight to that depth.
+Eigen::AlignedBox3d sight_box(const views::ViewSummary& view, double range) {
+  Eigen::AlignedBox3d box(view.world_from_cam.translation());
+  const RectifiedCamera& camera = view.camera;
+  for (const double x : {0, camera.width}) {
+    for (const double y : {0, camera.height}) {
+      const Eigen::Vector3d corner((x - camera.cx) / camera.f, (y - camera.cy) / camera.f, 1);
+      box.extend(view.world_from_cam * (range * corner));
+    }
+  }
+  return box;
 }
 
 }  // namespace
@@ -159,24 +169,17 @@ OctreeSummary write_octree(const std::filesystem::path& folder, const views::Vie
   for (const views::ViewSummary& view : summaries) IRIS_CHECK(view.submap == summaries.front().submap);
   const mapping::TiledGrid grid{.box = Eigen::Vector3d::Constant(options.resolution),
                                 .tile_boxes = Eigen::Vector3i::Constant(kSide)};
-  octomap::ColorOcTree tree(options.resolution);
+  OctreeStream stream(folder);
   OctreeSummary summary;
 
   // Region after region, each with the views that reach it: memory grows neither with the session nor with loops.
-  const double tile_size = kSide * options.resolution, reach = options.max_range + options.resolution;
-  const auto tile_of = [&](double metres) { return static_cast<int>(std::floor(metres / tile_size)); };
-  Eigen::Vector3d corner = Eigen::Vector3d::Zero();  // the first region begins where the first tile can be
-  for (int v = 0; v < count; ++v) {
-    const Eigen::Vector3d low = summaries[static_cast<size_t>(v)].world_from_cam.translation().array() - reach;
-    corner = v == 0 ? low : Eigen::Vector3d(corner.cwiseMin(low));
-  }
-  const int first_x = tile_of(corner.x()), first_y = tile_of(corner.y());
+  const double region_size = kRegionTiles * kSide * options.resolution, margin = options.resolution;
+  const auto region_of = [&](double metres) { return static_cast<int>(std::floor(metres / region_size)); };
   std::map<std::pair<int, int>, std::vector<int>> regions;  // y, x
   for (int v = 0; v < count; ++v) {
-    const Eigen::Vector3d camera = summaries[static_cast<size_t>(v)].world_from_cam.translation();
-    const auto region_of = [&](double metres, int first) { return (tile_of(metres) - first) / kRegionTiles; };
-    for (int y = region_of(camera.y() - reach, first_y); y <= region_of(camera.y() + reach, first_y); ++y) {
-      for (int x = region_of(camera.x() - reach, first_x); x <= region_of(camera.x() + reach, first_x); ++x) {
+    const Eigen::AlignedBox3d box = sight_box(summaries[static_cast<size_t>(v)], options.max_range);
+    for (int y = region_of(box.min().y() - margin); y <= region_of(box.max().y() + margin); ++y) {
+      for (int x = region_of(box.min().x() - margin); x <= region_of(box.max().x() + margin); ++x) {
         regions[{y, x}].push_back(v);
       }
     }
@@ -200,31 +203,16 @@ OctreeSummary write_octree(const std::filesystem::path& folder, const views::Vie
       const auto max_rays = static_cast<uint32_t>(std::max(3.0, std::round(3 * cube_px * cube_px)));
       mapping::fuse_view(*view, ray_options, grid, {.max_rays = max_rays, .bundle = kBundle},
                          [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
-                           const bool here = (index.x() - first_x) / kRegionTiles == region_x &&
-                                             (index.y() - first_y) / kRegionTiles == region_y;
-                           if (!here) return {};
+                           if (index.x() >> kRegionShift != region_x || index.y() >> kRegionShift != region_y)
+                             return {};
                            return tiles[{index.z(), index.y(), index.x()}].cells;
                          });
       add_colours(mapping::sight_rays(*view, ray_options), options.resolution, view->image, tiles);
       progress.update(++loaded);
     }
-    for (const auto& [index, tile] : tiles) {
-      if (control.stopped()) throw Interrupted();
-      store_tile(index, tile, options, tree, summary);
-    }
+    store_tiles(tiles, options, control, stream, summary);
   }
-  if (tree.size() > 0) tree.updateInnerOccupancy();  // ColorOcTree follows its root unchecked
-  tree.prune();
-  write_file(folder / "map.ot", bytes_of(tree));
-
-  // As a plain OcTree, which every reader of .bt knows: the data are the same, only the name in the header differs.
-  tree.toMaxLikelihood();
-  tree.prune();
-  std::ostringstream stream;
-  stream << "# Octomap OcTree binary file\nid OcTree\nsize " << tree.size() << "\nres " << options.resolution
-         << "\ndata\n";
-  tree.writeBinaryData(stream);
-  write_file(folder / "map.bt", stream.str());
+  stream.write(options.resolution);
 
   nlohmann::ordered_json json = {
       {"frame", "world"},

@@ -4,21 +4,16 @@
 #include <unistd.h>
 
 #include <cerrno>
-#include <cstring>
 #include <fstream>
+#include <utility>
 
 #include "iris/core/error.h"
+#include "iris/core/large_file.h"
+#include "write_failure.h"
 
 namespace iris {
 namespace fs = std::filesystem;
 namespace {
-
-[[noreturn]] void fail(const fs::path& path, int error) {
-  const bool full = error == ENOSPC || error == EDQUOT || error == EFBIG;
-  throw InputError(path, std::string("cannot be written (") + std::strerror(error) + ")",
-                   full ? "free some space and run the same command again, it goes on where it stopped"
-                        : "check the folder and its permissions, or choose another with -o");
-}
 
 // Also refuses to put a file in the place of a device or a folder: renaming would replace it.
 void prepare_place_of(const fs::path& path) {
@@ -30,7 +25,7 @@ void prepare_place_of(const fs::path& path) {
   if (!path.has_parent_path()) return;
   std::error_code error;
   fs::create_directories(path.parent_path(), error);
-  if (error) fail(path.parent_path(), error.value());
+  if (error) throw_write_failure(path.parent_path(), error.value());
 }
 
 // A neighbour of `path` with the same extension: writers choose the format by it. Named after the process, so that
@@ -42,10 +37,10 @@ fs::path temporary_of(const fs::path& path) {
 
 void flush_to_disk(const fs::path& path) {
   const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC);
-  if (fd < 0) fail(path, errno);
+  if (fd < 0) throw_write_failure(path, errno);
   const int result = fsync(fd), error = errno;
   close(fd);
-  if (result != 0) fail(path, error);
+  if (result != 0) throw_write_failure(path, error);
 }
 
 void rename_over(const fs::path& from, const fs::path& to) {
@@ -53,41 +48,45 @@ void rename_over(const fs::path& from, const fs::path& to) {
     const int error = errno;
     std::error_code ignored;
     fs::remove(from, ignored);
-    fail(to, error);
+    throw_write_failure(to, error);
   }
 }
 
-void write_bytes(const fs::path& path, const void* data, size_t size) {
-  prepare_place_of(path);
-  const fs::path temporary = temporary_of(path);
-  const int fd = open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
-  if (fd < 0) fail(path, errno);
-  const char* at = static_cast<const char*>(data);
-  int error = 0;
-  while (size > 0 && error == 0) {
-    const ssize_t n = ::write(fd, at, size);
-    if (n < 0) {
-      if (errno != EINTR) error = errno;
-      continue;
-    }
-    at += n;
-    size -= static_cast<size_t>(n);
+void write_all(int fd, std::string_view bytes, const fs::path& path) {
+  while (!bytes.empty()) {
+    const ssize_t n = ::write(fd, bytes.data(), bytes.size());
+    if (n < 0 && errno == EINTR) continue;
+    if (n < 0) throw_write_failure(path, errno);
+    bytes.remove_prefix(static_cast<size_t>(n));
   }
-  if (error == 0 && fsync(fd) != 0) error = errno;
-  if (close(fd) != 0 && error == 0) error = errno;
-  if (error != 0) {
-    unlink(temporary.c_str());
-    fail(path, error);
-  }
-  rename_over(temporary, path);
 }
 
 }  // namespace
 
-void write_file(const fs::path& path, std::string_view bytes) { write_bytes(path, bytes.data(), bytes.size()); }
+void write_file_in_parts(const fs::path& path,
+                         const std::function<void(const std::function<void(std::string_view)>& put)>& write) {
+  prepare_place_of(path);
+  const fs::path temporary = temporary_of(path);
+  int fd = open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+  if (fd < 0) throw_write_failure(path, errno);
+  try {
+    write([&](std::string_view part) { write_all(fd, part, path); });
+    if (fsync(fd) != 0) throw_write_failure(path, errno);
+    if (close(std::exchange(fd, -1)) != 0) throw_write_failure(path, errno);
+  } catch (...) {
+    if (fd >= 0) close(fd);
+    unlink(temporary.c_str());
+    throw;
+  }
+  rename_over(temporary, path);
+}
+
+void write_file(const fs::path& path, std::string_view bytes) {
+  write_file_in_parts(path, [&](const auto& put) { put(bytes); });
+}
 
 void write_file(const fs::path& path, const std::vector<unsigned char>& bytes) {
-  write_bytes(path, bytes.data(), bytes.size());
+  write_file(path, std::string_view(reinterpret_cast<const char*>(bytes.data()), bytes.size()));
 }
 
 void write_file_with(const fs::path& path, const std::function<void(const fs::path& temporary)>& write) {
@@ -95,7 +94,7 @@ void write_file_with(const fs::path& path, const std::function<void(const fs::pa
   const fs::path temporary = temporary_of(path);
   try {
     write(temporary);
-    if (!fs::exists(temporary)) fail(path, errno != 0 ? errno : EIO);
+    if (!fs::exists(temporary)) throw_write_failure(path, errno != 0 ? errno : EIO);
     flush_to_disk(temporary);
   } catch (...) {
     std::error_code ignored;

@@ -201,7 +201,9 @@ MapRaster rasterise(const FlogMap& map, const FlogOptions& options) {
   }
   if (x1 < x0) x0 = y0 = x1 = y1 = 0;
   raster.width = x1 - x0 + 1, raster.height = y1 - y0 + 1;
-  raster.origin_x = x0 * map.cell_size, raster.origin_y = y0 * map.cell_size;
+  // To a nanometre: 204 cells of 0.05 m are 10.2 m, not 10.200000000000001 m, in the files as well.
+  const auto corner = [&](int cells) { return std::round(cells * map.cell_size * 1e9) / 1e9; };
+  raster.origin_x = corner(x0), raster.origin_y = corner(y0);
   raster.M = cv::Mat1f::zeros(raster.height, raster.width);
   raster.state = cv::Mat1b::zeros(raster.height, raster.width);
   raster.U = cv::Mat1f::zeros(raster.height, raster.width);

@@ -25,18 +25,20 @@ using mapping::SightRays;
 constexpr int kSide = OctreeStream::kTileSide;  // cubes along a side of a tile
 constexpr int kCubes = kSide * kSide * kSide;
 constexpr double kSurface = 0.35;  // membership of occupancy from here on is a surface
-constexpr int kRegionShift = 5;    // 32 tiles along a side of a region, of any height
-constexpr int kRegionTiles = 1 << kRegionShift;
-constexpr double kBundle = 0.5;  // as FlogOptions::bundle
+constexpr int kRegionTiles = 48;   // tiles along a side of a region, of any height
+constexpr double kBundle = 0.5;    // as FlogOptions::bundle
 
 struct ColourSum {
-  std::array<uint64_t, 3> bgr = {};
-  uint64_t count = 0;
+  std::array<uint32_t, 3> bgr = {};
+  uint32_t count = 0;
+  static constexpr uint32_t kMost = 1u << 24;  // points that fit; those of later views are left out
 };
 
 struct Tile {
   std::vector<FlogCell> cells = std::vector<FlogCell>(kCubes);
-  std::map<int, ColourSum> colours;  // of the cubes that hold measured points
+  // Of the cubes that hold measured points: which of the sums is theirs, counted from 1.
+  std::vector<uint16_t> colour_of;
+  std::vector<ColourSum> colours;
 };
 
 using TileIndex = std::tuple<int, int, int>;  // z, y, x
@@ -66,7 +68,15 @@ void add_colours(const SightRays& rays, double resolution, const cv::Mat& image,
       last_index = index;
     }
     const auto in_tile = [](int i) { return i & (kSide - 1); };
-    ColourSum& sum = last->colours[(in_tile(cube.z()) * kSide + in_tile(cube.y())) * kSide + in_tile(cube.x())];
+    if (last->colour_of.empty()) last->colour_of.resize(kCubes);
+    uint16_t& place = last->colour_of[static_cast<size_t>((in_tile(cube.z()) * kSide + in_tile(cube.y())) * kSide +
+                                                          in_tile(cube.x()))];
+    if (place == 0) {
+      last->colours.emplace_back();
+      place = static_cast<uint16_t>(last->colours.size());
+    }
+    ColourSum& sum = last->colours[place - 1u];
+    if (sum.count == ColourSum::kMost) continue;
     const cv::Vec3b colour = colour_at(image, ray.pixel);
     for (int c = 0; c < 3; ++c) sum.bgr[static_cast<size_t>(c)] += colour[c];
     ++sum.count;
@@ -116,11 +126,11 @@ void store_tiles(const Tiles& tiles, const OctreeOptions& options, const pipelin
           result.counts.free += cubes[i].log_odds < 0;
         }
         if (result.counts.occupied + result.counts.free == 0) continue;
-        for (const auto& [i, sum] : tile.colours) {
-          OctreeCube& cube = cubes[static_cast<size_t>(i)];
-          if (cube.log_odds <= 0) continue;
+        for (size_t i = 0; i < tile.colour_of.size(); ++i) {
+          if (tile.colour_of[i] == 0 || cubes[i].log_odds <= 0) continue;
+          const ColourSum& sum = tile.colours[tile.colour_of[i] - 1u];
           const auto mean = [&](size_t c) { return static_cast<uint8_t>((sum.bgr[c] + sum.count / 2) / sum.count); };
-          cube.rgb = {mean(2), mean(1), mean(0)};
+          cubes[i].rgb = {mean(2), mean(1), mean(0)};
         }
         const auto [z, y, x] = index;
         result.tile = OctreeStream::subtree({x, y, z}, cubes);
@@ -173,13 +183,24 @@ OctreeSummary write_octree(const std::filesystem::path& folder, const views::Vie
   OctreeSummary summary;
 
   // Region after region, each with the views that reach it: memory grows neither with the session nor with loops.
-  const double region_size = kRegionTiles * kSide * options.resolution, margin = options.resolution;
-  const auto region_of = [&](double metres) { return static_cast<int>(std::floor(metres / region_size)); };
+  const double tile_size = kSide * options.resolution;
+  const auto tile_of = [&](double metres) { return static_cast<int>(std::floor(metres / tile_size)); };
+  std::vector<Eigen::AlignedBox3d> boxes;
+  Eigen::AlignedBox3d all;
+  for (const views::ViewSummary& view : summaries) {
+    boxes.push_back(sight_box(view, options.max_range));
+    boxes.back().min().array() -= options.resolution;
+    boxes.back().max().array() += options.resolution;
+    all.extend(boxes.back());
+  }
+  // The first region begins where the first tile can be.
+  const int first_x = count > 0 ? tile_of(all.min().x()) : 0, first_y = count > 0 ? tile_of(all.min().y()) : 0;
   std::map<std::pair<int, int>, std::vector<int>> regions;  // y, x
   for (int v = 0; v < count; ++v) {
-    const Eigen::AlignedBox3d box = sight_box(summaries[static_cast<size_t>(v)], options.max_range);
-    for (int y = region_of(box.min().y() - margin); y <= region_of(box.max().y() + margin); ++y) {
-      for (int x = region_of(box.min().x() - margin); x <= region_of(box.max().x() + margin); ++x) {
+    const Eigen::AlignedBox3d& box = boxes[static_cast<size_t>(v)];
+    const auto region_of = [&](double metres, int first) { return (tile_of(metres) - first) / kRegionTiles; };
+    for (int y = region_of(box.min().y(), first_y); y <= region_of(box.max().y(), first_y); ++y) {
+      for (int x = region_of(box.min().x(), first_x); x <= region_of(box.max().x(), first_x); ++x) {
         regions[{y, x}].push_back(v);
       }
     }
@@ -201,12 +222,14 @@ OctreeSummary write_octree(const std::filesystem::path& folder, const views::Vie
       // Nt = 3 NK as for the map.
       const double cube_px = view->camera.f * options.resolution / options.ray_step;
       const auto max_rays = static_cast<uint32_t>(std::max(3.0, std::round(3 * cube_px * cube_px)));
-      mapping::fuse_view(*view, ray_options, grid, {.max_rays = max_rays, .bundle = kBundle},
-                         [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
-                           if (index.x() >> kRegionShift != region_x || index.y() >> kRegionShift != region_y)
-                             return {};
-                           return tiles[{index.z(), index.y(), index.x()}].cells;
-                         });
+      mapping::fuse_view(
+          *view, ray_options, grid, {.max_rays = max_rays, .bundle = kBundle},
+          [&](const Eigen::Vector3i& index) -> std::span<FlogCell> {
+            if ((index.x() - first_x) / kRegionTiles != region_x || (index.y() - first_y) / kRegionTiles != region_y) {
+              return {};
+            }
+            return tiles[{index.z(), index.y(), index.x()}].cells;
+          });
       add_colours(mapping::sight_rays(*view, ray_options), options.resolution, view->image, tiles);
       progress.update(++loaded);
     }

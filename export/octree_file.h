@@ -39,7 +39,7 @@ struct OctreeSummary {
 // log(p / (1-p)) is rounded to steps of 1/8, so that large empty space can be pruned, and is at least one step away
 // from undecided. The files are the same, byte for byte, for any number of threads.
 //
-// Memory: the cubes of one region of 512 x 512 cubes at a time (8 bytes each, where a ray came), and a few hundred
+// Memory: the cubes of one region of 768 x 768 cubes at a time (10 bytes each, where a ray came), and a few hundred
 // bytes a tile of 16 cubes a side; what is finished waits on the disk of `folder`. Views near the border of regions are
 // read for each of them. Throws Interrupted if `control` asks to stop; nothing is written then.
 OctreeSummary write_octree(const std::filesystem::path& folder, const views::ViewStore& views,

@@ -291,9 +291,15 @@ FigureSection map_section(const evaluate::MapErrors& errors, double cell, const 
   f.push_back({"free_wrong", "of them holes in true surfaces", count(errors.free_wrong), ""});
   f.push_back({"free_unseen", "of them where no camera saw that it is free", count(errors.free_unseen), ""});
   f.push_back({"true_free", "free cells of the plan", count(errors.true_free), ""});
-  f.push_back({"faces", "faces of true walls with anything in the map", count(errors.faces), ""});
-  f.push_back({"thickness_mean", "thickness of walls in the map [cells], mean", errors.thickness_mean, "1"});
-  f.push_back({"thickness_95", "of 95 % of them at most [cells]", errors.thickness_95, "1"});
+  const auto thickness = [&](const std::string& key, const std::string& what, const std::string& faces,
+                             const evaluate::MapErrors::Thickness& of) {
+    f.push_back({faces, "faces of " + what + " with anything in the map", count(of.faces), ""});
+    f.push_back({key + "_mean", "thickness of " + what + " in the map [cells], mean", of.mean, "1"});
+    f.push_back({key + "_median", "median [cells]", of.median, "1"});
+    f.push_back({key + "_95", "of 95 % of them at most [cells]", of.most, "1"});
+  };
+  thickness("thickness", "true walls", "faces", errors.faces);
+  thickness("wall_thickness", "bare straight walls", "wall_faces", errors.walls);
   f.push_back({"distance_median", "occupied cells to the nearest true one, median", errors.distance_median, "m"});
   f.push_back({"distance_mean", "occupied cells to the nearest true one, mean", errors.distance_mean, "m"});
   f.push_back({"distance_rms", "occupied cells to the nearest true one, RMS", errors.distance_rms, "m"});

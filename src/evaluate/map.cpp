@@ -82,6 +82,30 @@ double percent(int64_t part, int64_t whole) {
                    : std::numeric_limits<double>::quiet_NaN();
 }
 
+MapErrors::Thickness thickness_of(std::vector<int> cells) {
+  MapErrors::Thickness result{.faces = static_cast<int64_t>(cells.size())};
+  if (cells.empty()) return result;
+  std::sort(cells.begin(), cells.end());
+  const auto count = static_cast<double>(cells.size());
+  const auto at = [&](double share) { return cells[static_cast<size_t>(std::ceil(share * count)) - 1]; };
+  result.mean = std::accumulate(cells.begin(), cells.end(), 0.0) / count;
+  result.median = at(0.5);
+  result.most = at(0.95);
+  return result;
+}
+
+// Whether the face of a cell belongs to a straight wall before which nothing stands.
+bool is_bare_wall(const GridMap& truth, cv::Point cell, cv::Point out) {
+  const cv::Point along(out.y, out.x);
+  for (int k = -MapErrors::kBeside; k <= MapErrors::kBeside; ++k) {
+    if (truth.at(cell + k * along) != Cell::occupied) return false;
+    for (int before = 1; before <= MapErrors::kAcross; ++before) {
+      if (truth.at(cell + k * along + before * out) != Cell::free) return false;
+    }
+  }
+  return true;
+}
+
 }  // namespace
 
 cv::Point GridMap::cell_of(double x, double y) const {
@@ -170,7 +194,7 @@ MapErrors evaluate_map(const GridMap& estimate, const GridMap& truth, const Pose
     ++errors.true_free;
     errors.found_free += near_free(registered.to_estimate(cell));
   });
-  std::vector<int> thicknesses;
+  std::vector<int> thicknesses, wall_thicknesses;
   for_each_cell(truth, Cell::occupied, [&](cv::Point cell) {
     for (const cv::Point out : {cv::Point(1, 0), cv::Point(-1, 0), cv::Point(0, 1), cv::Point(0, -1)}) {
       if (truth.at(cell + out) != Cell::free) continue;
@@ -183,16 +207,13 @@ MapErrors evaluate_map(const GridMap& estimate, const GridMap& truth, const Pose
       };
       count_towards(out, Cell::free);
       count_towards(-out, Cell::unknown);
-      if (thickness > 0) thicknesses.push_back(thickness);
+      if (thickness == 0) continue;
+      thicknesses.push_back(thickness);
+      if (is_bare_wall(truth, cell, out)) wall_thicknesses.push_back(thickness);
     }
   });
-  errors.faces = static_cast<int64_t>(thicknesses.size());
-  if (!thicknesses.empty()) {
-    std::sort(thicknesses.begin(), thicknesses.end());
-    const auto count = static_cast<double>(thicknesses.size());
-    errors.thickness_mean = std::accumulate(thicknesses.begin(), thicknesses.end(), 0.0) / count;
-    errors.thickness_95 = thicknesses[static_cast<size_t>(std::ceil(0.95 * count)) - 1];
-  }
+  errors.faces = thickness_of(std::move(thicknesses));
+  errors.walls = thickness_of(std::move(wall_thicknesses));
   if (distances.empty()) return errors;
   const Spread spread = spread_of(std::move(distances));
   errors.distance_mean = spread.mean;

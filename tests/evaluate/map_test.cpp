@@ -86,19 +86,43 @@ TEST(Map, ThicknessOfWallsIsCountedAcrossTheirFaces) {
     return evaluate_map(drawn(rows), truth, Pose::Identity(), {});
   };
   MapErrors e = evaluate_map(truth, truth, Pose::Identity(), {});
-  EXPECT_EQ(e.faces, 4 + 12);  // from above; x = 4 on both sides, x = 6 and 8 on one
-  EXPECT_EQ(e.thickness_mean, 1);
-  EXPECT_EQ(e.thickness_95, 1);
+  EXPECT_EQ(e.faces.faces, 4 + 12);  // from above; x = 4 on both sides, x = 6 and 8 on one
+  EXPECT_EQ(e.faces.mean, 1);
+  EXPECT_EQ(e.faces.median, 1);
+  EXPECT_EQ(e.faces.most, 1);
+  EXPECT_EQ(e.walls.faces, 0);  // too short
   e = thickness({"..........",  //
                  "#?.##.###.",  //
                  "#?.##.###.",  //
                  "#?.##.###."});
-  EXPECT_EQ(e.faces, 16);
+  EXPECT_EQ(e.faces.faces, 16);
   // Twice: the left faces of x = 4, as well as those of 6 and 8, by what is in the wall between them.
-  EXPECT_NEAR(e.thickness_mean, (16 + 9) / 16.0, 1e-12);
-  EXPECT_EQ(e.thickness_95, 2);
+  EXPECT_NEAR(e.faces.mean, (16 + 9) / 16.0, 1e-12);
+  EXPECT_EQ(e.faces.most, 2);
   // What stands before a face counts without the face.
-  EXPECT_EQ(thickness({"#.........", "??????????", "??????????", "??????????"}).faces, 1);
+  EXPECT_EQ(thickness({"#.........", "??????????", "??????????", "??????????"}).faces.faces, 1);
+}
+
+// Ten cells of a wall behind six free rows, one with a chair before it.
+TEST(Map, ThicknessOfBareWallsLeavesOutWhatStandsBeforeThem) {
+  std::vector<std::string> rows(7, "..............");
+  rows.push_back("##############");
+  rows.push_back("??????????????");
+  const auto walls = [&](const std::vector<std::string>& map) {
+    return evaluate_map(drawn(map), drawn(rows), Pose::Identity(), {}).walls;
+  };
+  std::vector<std::string> map = rows;
+  map[8] = "##############";  // the wall is drawn twice
+  EXPECT_EQ(walls(map).faces, 14 - 2 * MapErrors::kBeside);
+  EXPECT_EQ(walls(map).mean, 2);
+  map[6] = ".....#........";
+  EXPECT_EQ(walls(map).median, 2);
+  EXPECT_EQ(walls(map).most, 3);
+  // If it stands there in truth, the faces beside it are not bare any more: 5 columns to the right are too short.
+  rows[2] = "....#.........";
+  EXPECT_EQ(walls(map).faces, 14 - 5 - 2 * MapErrors::kBeside);
+  rows[2] = ".....#........";
+  EXPECT_EQ(walls(map).faces, 0);
 }
 
 TEST(Map, FreeCellsThatNoCameraSawAreWrong) {

@@ -62,8 +62,16 @@ struct MapErrors {
   // it, before it, and behind it inside the wall, up to kAcross away or to the next true surface. A wall that is drawn
   // once is 1 to 2 cells thick, one that is drawn twice 2 and more. NaN if there is no such face.
   static constexpr int kAcross = 6;
-  int64_t faces = 0;
-  double thickness_mean = std::numeric_limits<double>::quiet_NaN(), thickness_95 = thickness_mean;
+  struct Thickness {
+    int64_t faces = 0;
+    double mean = std::numeric_limits<double>::quiet_NaN(), median = mean;
+    double most = mean;  // of 95 % of them
+  };
+  Thickness faces;
+  // Of them those of bare walls: straight for kBeside cells to both sides, with nothing but free space before it in
+  // the truth, kAcross cells far. What the map has of furniture is not counted as a part of the wall here.
+  static constexpr int kBeside = 4;
+  Thickness walls;
 
   // [%]; NaN if there is nothing to judge.
   double occupied_precision() const;

@@ -3,6 +3,7 @@
 
 #include <benchmark/benchmark.h>
 
+#include <filesystem>
 #include <functional>
 #include <opencv2/core.hpp>
 #include <string>
@@ -57,8 +58,8 @@ bool count_instructions(const std::string& work);
 
 // Prints how good the disparities are, IRIS's and its peers'.
 void print_quality();
-// Prints how good maps are, IRIS's and OctoMap's.
-void print_map_quality();
+// Prints how good maps are, IRIS's and OctoMap's, of the same views of a simulated recording with its truth.
+void print_map_quality(const std::filesystem::path& apartment);
 // Prints how good novel views are.
 struct ViewQualityOptions {
   std::string only;       // part of a case's name; empty = all

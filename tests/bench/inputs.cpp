@@ -8,7 +8,10 @@
 #include <opencv2/imgcodecs.hpp>
 #include <sstream>
 
+#include "iris/core/atomic_file.h"
+#include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "iris/evaluate/formats.h"
 #include "iris/rectify/rectifier.h"
 #include "iris/session/session.h"
 #include "iris/stereo/mwmf.h"
@@ -172,5 +175,30 @@ const fs::path& recorded_session() {
 }
 
 std::string recorded_session_name() { return recorded_session().parent_path() == kData ? "EuRoC" : "room 320x240"; }
+
+Recording read_recording(const fs::path& folder, const fs::path& truth_file) {
+  const auto session = session::open_session(folder, {});
+  const rectify::Rectifier rectifier(session->calibration());
+  Recording recording{.pairs = std::vector<StereoPair>(static_cast<size_t>(session->size())),
+                      .world_from_cam = {},
+                      .camera = rectifier.camera()};
+  parallel_chunks(0, session->size(), 1, [&](int begin, int end) {
+    for (int i = begin; i < end; ++i) recording.pairs[static_cast<size_t>(i)] = rectifier.rectify(session->read(i));
+  });
+  const std::string text = read_file(truth_file);
+  if (evaluate::is_kitti(text)) {
+    for (const auto& pose : evaluate::parse_kitti(text, truth_file)) recording.world_from_cam.push_back(pose.value());
+  } else {
+    evaluate::Trajectory frames;
+    for (int i = 0; i < session->size(); ++i) frames.push_back({session->stamp_ns(i), Pose::Identity()});
+    Pose left_from_rect = Pose::Identity();
+    left_from_rect.linear() = rectifier.rect_from_left().transpose();
+    for (const evaluate::PosePair& pair : evaluate::associate(frames, evaluate::parse_tum(text, truth_file))) {
+      recording.world_from_cam.push_back(pair.truth * left_from_rect);
+    }
+  }
+  IRIS_CHECK(recording.world_from_cam.size() >= recording.pairs.size());
+  return recording;
+}
 
 }  // namespace iris::bench

@@ -49,4 +49,13 @@ StereoCalibration distorted_rig();
 const std::filesystem::path& recorded_session();
 std::string recorded_session_name();
 
+// A recording with the truth, rectified.
+struct Recording {
+  std::vector<StereoPair> pairs;
+  std::vector<Pose> world_from_cam;  // of the pairs' cameras
+  RectifiedCamera camera;
+};
+// `truth_file`: poses of the left camera as recorded (TUM) or as it is in the images (KITTI).
+Recording read_recording(const std::filesystem::path& folder, const std::filesystem::path& truth_file);
+
 }  // namespace iris::bench

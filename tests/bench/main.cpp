@@ -1,7 +1,7 @@
 // iris_bench [--quick] [--processor-time] [options of Google Benchmark]: IRIS beside its peers; prints a table in
 // Markdown. --processor-time: of one thread, instead of elapsed time; for a machine that others use as well.
 // iris_bench --quality: errors of the disparities instead of times.
-// iris_bench --maps: errors of maps, beside OctoMap's.
+// iris_bench --apartment=FOLDER --maps: errors of maps, beside OctoMap's.
 // iris_bench [--apartment=FOLDER] [--case=PART OF NAME] [--pictures=FOLDER] --views: how good novel views are; FOLDER
 // is what `iris simulate apartment` made. iris_bench --count=WORK: does WORK once, for a tool that counts instructions.
 #include <fmt/chrono.h>
@@ -208,7 +208,11 @@ int main(int argc, char** argv) {
       return 0;
     }
     if (argument == "--maps") {
-      iris::bench::print_map_quality();
+      if (view_quality.apartment.empty()) {
+        fmt::print(stderr, "iris_bench: --maps needs --apartment=FOLDER before it\n");
+        return 2;
+      }
+      iris::bench::print_map_quality(view_quality.apartment);
       return 0;
     }
     if (argument.starts_with("--apartment=")) {

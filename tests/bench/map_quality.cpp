@@ -2,64 +2,53 @@
 #include <fmt/format.h>
 #include <octomap/OcTree.h>
 
-#include <chrono>
 #include <cmath>
+#include <ctime>
+#include <filesystem>
 #include <functional>
 #include <string>
 #include <vector>
 
 #include "bench/bench.h"
+#include "bench/inputs.h"
+#include "export/evaluation_files.h"
 #include "iris/evaluate/map.h"
 #include "iris/mapping/flog.h"
 #include "iris/mapping/ray_fusion.h"
-#include "iris/rectify/rectifier.h"
-#include "iris/simulate/floor_plan.h"
-#include "iris/simulate/simulator.h"
 #include "iris/stereo/mwmf.h"
 
 namespace iris::bench {
+namespace fs = std::filesystem;
 namespace {
 
 using mapping::FlogOptions;
 
-struct Recording {
+struct Apartment {
   std::vector<StereoView> views;  // with true poses
   evaluate::GridMap plan;
 };
 
-Recording record(const FlogOptions& mapping, int frames, int seed) {
-  simulate::SimulateOptions options;
-  options.seed = seed;
-  options.frames = frames;
-  const simulate::Scene scene = simulate::make_scene("apartment", options.seed);
-  const simulate::SimulatedPath path = simulate::make_path(scene, options);
-  options.rate = frames / path.seconds;  // all along the path
-  const simulate::Simulator simulator(scene, path, options);
-  const rectify::Rectifier rectifier(simulator.calibration());
-  Pose left_from_rect = Pose::Identity();
-  left_from_rect.linear() = rectifier.rect_from_left().transpose();
+// Every few views: OctoMap takes 0.4 s for each of them.
+Apartment read_apartment(const fs::path& folder) {
+  constexpr size_t kEvery = 4;
+  const Recording recording = read_recording(folder, folder / "truth/trajectory.tum");
   stereo::MwmfOptions stereo;
   stereo.disparities = 128;
   stereo.interpolation = "within";
-  Recording recording;
-  recording.views.resize(static_cast<size_t>(simulator.frames()));
-  parallel_chunks(0, simulator.frames(), 1, [&](int begin, int end) {
+  Apartment apartment{.views = std::vector<StereoView>((recording.pairs.size() + kEvery - 1) / kEvery),
+                      .plan = exporters::read_map(folder / "truth/plan.yaml", true)};
+  parallel_chunks(0, static_cast<int>(apartment.views.size()), 1, [&](int begin, int end) {
     for (int i = begin; i < end; ++i) {
-      const StereoPair pair = rectifier.rectify(simulator.frame(i));
-      recording.views[static_cast<size_t>(i)] = {.frame_idx = i,
-                                                 .camera = rectifier.camera(),
+      const size_t frame = kEvery * static_cast<size_t>(i);
+      const StereoPair& pair = recording.pairs[frame];
+      apartment.views[static_cast<size_t>(i)] = {.frame_idx = static_cast<int>(frame),
+                                                 .camera = recording.camera,
                                                  .image = pair.left,
                                                  .disparity = stereo::mwmf(pair.left, pair.right, stereo),
-                                                 .world_from_cam = simulator.world_from_left(i) * left_from_rect};
+                                                 .world_from_cam = recording.world_from_cam[frame]};
     }
   });
-  std::vector<double> bounds;
-  for (int k = 0; k <= mapping.layers; ++k) bounds.push_back(mapping.bottom + mapping.height * k / mapping.layers);
-  const simulate::FloorPlan plan = simulate::floor_plan(scene, simulator, mapping.cell, bounds, mapping.max_range);
-  recording.plan = evaluate::grid_map(
-      plan.combined, {.image = "", .resolution = plan.cell, .origin_x = plan.origin_x, .origin_y = plan.origin_y},
-      true);
-  return recording;
+  return apartment;
 }
 
 mapping::SightRays rays_of(const StereoView& view, const FlogOptions& options) {
@@ -95,24 +84,25 @@ evaluate::GridMap flattened(const octomap::OcTree& tree, const FlogOptions& opti
   return map;
 }
 
-void print_row(const std::string& name, const evaluate::GridMap& map, const Recording& recording, double seconds,
+void print_row(const std::string& name, const evaluate::GridMap& map, const Apartment& apartment, double seconds,
                double rays, double megabytes) {
-  const evaluate::MapErrors e = evaluate::evaluate_map(map, recording.plan, Pose::Identity(), {});
+  const evaluate::MapErrors e = evaluate::evaluate_map(map, apartment.plan, Pose::Identity(), {});
   fmt::print("| {} | {:.1f} | {:.1f} | {:.1f} | {:.1f} | {:.1f} | {:.2f} | {:.1f} |\n", name, e.occupied_precision(),
              e.occupied_recall(), e.free_precision(), e.free_recall(),
-             1e3 * seconds / static_cast<double>(recording.views.size()), 1e-6 * rays / seconds, megabytes);
+             1e3 * seconds / static_cast<double>(apartment.views.size()), 1e-6 * rays / seconds, megabytes);
 }
 
+// Processor time of one thread.
 double seconds_of(const std::function<void()>& work) {
-  const auto begin = std::chrono::steady_clock::now();
+  const std::clock_t begin = std::clock();
   with_threads(1, work);
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return static_cast<double>(std::clock() - begin) / CLOCKS_PER_SEC;
 }
 
-void print_flog(const std::string& name, const FlogOptions& options, const Recording& recording, double rays) {
-  mapping::FlogBuilder builder(options, recording.views.front().camera);
+void print_flog(const std::string& name, const FlogOptions& options, const Apartment& apartment, double rays) {
+  mapping::FlogBuilder builder(options, apartment.views.front().camera);
   const double seconds = seconds_of([&] {
-    for (const StereoView& view : recording.views) builder.add(view);
+    for (const StereoView& view : apartment.views) builder.add(view);
   });
   double bytes = 0;
   for (const auto& tile : builder.map().tiles) {
@@ -121,24 +111,25 @@ void print_flog(const std::string& name, const FlogOptions& options, const Recor
   const mapping::MapRaster raster = mapping::rasterise(builder.map(), options);
   const evaluate::GridMap map{
       .cells = raster.state, .resolution = raster.cell, .origin_x = raster.origin_x, .origin_y = raster.origin_y};
-  print_row(name, map, recording, seconds, rays, 1e-6 * bytes);
+  print_row(name, map, apartment, seconds, rays, 1e-6 * bytes);
 }
 
-void print_apartment(int seed) {
-  constexpr int kFrames = 110;
+}  // namespace
+
+void print_map_quality(const fs::path& folder) {
   const FlogOptions options;
-  const Recording recording = record(options, kFrames, seed);
+  const Apartment apartment = read_apartment(folder);
   double rays = 0;
-  for (const StereoView& view : recording.views) rays += static_cast<double>(rays_of(view, options).rays.size());
+  for (const StereoView& view : apartment.views) rays += static_cast<double>(rays_of(view, options).rays.size());
   fmt::print(
-      "\nApartment {}, rendered, {} views with true poses, cells of {:g} m between {:g} and {:g} m of height, "
+      "\nApartment, {} views with true poses, cells of {:g} m between {:g} and {:g} m of height, "
       "one thread; percent.\n\n"
       "| | occupied: precision | recall | free: precision | recall | ms a view | Mrays/s | MB "
       "|\n|-|-:|-:|-:|-:|-:|-:|-:|\n",
-      seed, recording.views.size(), options.cell, options.bottom, options.bottom + options.height);
+      apartment.views.size(), options.cell, options.bottom, options.bottom + options.height);
   octomap::OcTree tree(options.cell);
   const double seconds = seconds_of([&] {
-    for (const StereoView& view : recording.views) {
+    for (const StereoView& view : apartment.views) {
       const mapping::SightRays of_view = rays_of(view, options);
       octomap::Pointcloud points;
       for (const mapping::SightRay& ray : of_view.rays) {
@@ -150,7 +141,7 @@ void print_apartment(int seed) {
     }
   });
   tree.updateInnerOccupancy();
-  print_row("OctoMap, insertPointCloud", flattened(tree, options, recording.plan), recording, seconds, rays,
+  print_row("OctoMap, insertPointCloud", flattened(tree, options, apartment.plan), apartment, seconds, rays,
             1e-6 * static_cast<double>(tree.memoryUsage()));
   FlogOptions thesis = options;  // cells as high as layers, all that any ray says
   thesis.slices = 1;
@@ -159,18 +150,11 @@ void print_apartment(int seed) {
   thesis.occupied_level = 0.35;
   thesis.seen_only = false;
   thesis.min_views = 1;
-  print_flog("FLOG, thesis", thesis, recording, rays);
-  print_flog("FLOG, default", options, recording, rays);
+  print_flog("FLOG, thesis", thesis, apartment, rays);
+  print_flog("FLOG, default", options, apartment, rays);
   FlogOptions cubes = options;
   cubes.slices = static_cast<int>(std::lround(options.height / options.layers / options.cell));
-  print_flog("FLOG, cubes", cubes, recording, rays);
-}
-
-}  // namespace
-
-void print_map_quality() {
-  fmt::print("\n## Maps\n");
-  for (const int seed : {1, 2}) print_apartment(seed);
+  print_flog("FLOG, cubes", cubes, apartment, rays);
 }
 
 }  // namespace iris::bench

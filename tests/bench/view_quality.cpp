@@ -4,23 +4,20 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <functional>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <random>
-#include <sstream>
 #include <string>
 #include <vector>
 
 #include "bench/bench.h"
+#include "bench/inputs.h"
 #include "iris/core/error.h"
-#include "iris/evaluate/formats.h"
 #include "iris/evaluate/images.h"
 #include "iris/rectify/rectifier.h"
 #include "iris/render/refine.h"
 #include "iris/render/source_selection.h"
-#include "iris/session/session.h"
 #include "iris/simulate/simulator.h"
 #include "iris/stereo/mwmf.h"
 #include "iris/stereo/search_range.h"
@@ -50,45 +47,6 @@ struct Variant {
   std::string name;
   render::DsnvOptions render;
 };
-
-struct Recording {
-  std::vector<StereoPair> pairs;
-  std::vector<Pose> world_from_cam;
-  RectifiedCamera camera;
-};
-
-std::string text_of(const fs::path& file) {
-  std::ifstream stream(file);
-  std::ostringstream text;
-  text << stream.rdbuf();
-  return text.str();
-}
-
-// With the true poses of `truth_file`, of the left camera as recorded (TUM) or as it is in the images (KITTI).
-Recording read_recording(const fs::path& folder, const fs::path& truth_file) {
-  const auto session = session::open_session(folder, {});
-  const rectify::Rectifier rectifier(session->calibration());
-  Recording recording{.pairs = std::vector<StereoPair>(static_cast<size_t>(session->size())),
-                      .world_from_cam = {},
-                      .camera = rectifier.camera()};
-  parallel_chunks(0, session->size(), 1, [&](int begin, int end) {
-    for (int i = begin; i < end; ++i) recording.pairs[static_cast<size_t>(i)] = rectifier.rectify(session->read(i));
-  });
-  const std::string text = text_of(truth_file);
-  if (evaluate::is_kitti(text)) {
-    for (const auto& pose : evaluate::parse_kitti(text, truth_file)) recording.world_from_cam.push_back(pose.value());
-  } else {
-    evaluate::Trajectory frames;
-    for (int i = 0; i < session->size(); ++i) frames.push_back({session->stamp_ns(i), Pose::Identity()});
-    Pose left_from_rect = Pose::Identity();
-    left_from_rect.linear() = rectifier.rect_from_left().transpose();
-    for (const evaluate::PosePair& pair : evaluate::associate(frames, evaluate::parse_tum(text, truth_file))) {
-      recording.world_from_cam.push_back(pair.truth * left_from_rect);
-    }
-  }
-  IRIS_CHECK(recording.world_from_cam.size() >= recording.pairs.size());
-  return recording;
-}
 
 NovelCamera camera_of(const RectifiedCamera& camera, const Pose& world_from_cam) {
   return {.projection = Projection::pinhole,

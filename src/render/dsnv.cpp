@@ -369,7 +369,7 @@ struct Pixel {
 };
 
 Pixel seen(const Source& source, int index, const RayHit& hit) {
-  const cv::Vec3f colour = colour_at(source.prepared->image(), hit.x, hit.y);
+  const cv::Vec3f colour = colour_at(source.prepared->view().image, hit.x, hit.y);
   Pixel pixel;
   pixel.depth = hit.along;
   pixel.source = static_cast<int16_t>(index);
@@ -394,7 +394,7 @@ Pixel fuse_nearest(const std::vector<Source>& sources, const std::vector<RayHit>
 
 TileSource tile_source(const Source& source) {
   const StereoView& view = source.prepared->view();
-  const cv::Mat& image = source.prepared->image();
+  const cv::Mat& image = source.prepared->view().image;
   const cv::Mat1f& disparity = source.prepared->disparity();
   const cv::Mat1b& origin = view.disparity.origin;
   TileSource tile{.rotation = {},

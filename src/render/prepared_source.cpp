@@ -1,5 +1,5 @@
 #include <algorithm>
-#include <opencv2/imgproc.hpp>
+#include <opencv2/core.hpp>
 
 #include "iris/core/error.h"
 #include "iris/render/dsnv.h"
@@ -14,17 +14,6 @@ DisparityOrigin accepted_origin(const std::string& name) {
   if (name == "within") return DisparityOrigin::within_segment;
   IRIS_CHECK(name == "everywhere");
   return DisparityOrigin::between_segments;
-}
-
-// Bilinear values at evenly spread positions have, per axis, the blur of a kernel of variance 1/6 px²; a kernel of
-// variance -1/6 px² takes it out again where details are larger than a pixel.
-cv::Mat sharpened(const cv::Mat& image, double times) {
-  if (times <= 0) return image;
-  const auto side = static_cast<float>(times / 12);
-  const cv::Mat1f kernel = (cv::Mat1f(1, 3) << -side, 1 + 2 * side, -side);
-  cv::Mat result;
-  cv::sepFilter2D(image, result, image.depth(), kernel, kernel, {-1, -1}, 0, cv::BORDER_REPLICATE);
-  return result;
 }
 
 }  // namespace
@@ -47,9 +36,6 @@ void DsnvOptions::declare(OptionSet& set) {
   set.add(
       "fill_holes", fill_holes, "px", 0, 64,
       "Holes of the picture up to this width are filled from the background beside them; 0 leaves all of them dark.");
-  set.add("sharpen", sharpen, "times", 0, 3,
-          "Colours are looked up between the pixels of the views, which blurs them a little on average; 1 undoes just "
-          "that (and makes noise stronger), 0 nothing.");
   set.add("neighbours", neighbours, "", 0, 16,
           "Views that each stored view is compared with before pictures are made, for the two options below; 0 leaves "
           "the views as they are.");
@@ -67,7 +53,6 @@ PreparedSource::PreparedSource(std::shared_ptr<const StereoView> view, const Dsn
   IRIS_CHECK(!all.empty() && all.size() == view_->image.size() && all.total() >= 4);
   IRIS_CHECK(view_->camera.width == all.cols && view_->camera.height == all.rows);
   IRIS_CHECK(view_->image.type() == CV_8UC1 || view_->image.type() == CV_8UC3);
-  image_ = sharpened(view_->image, options.sharpen);
   const DisparityOrigin up_to = accepted_origin(options.use_origin);
   if (up_to == DisparityOrigin::between_segments || view_->disparity.origin.empty()) {
     disparity_ = all.isContinuous() ? all : cv::Mat1f(all.clone());

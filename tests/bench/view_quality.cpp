@@ -252,7 +252,7 @@ Score score(const Case& work, const Variant& variant, const fs::path& pictures) 
 }
 
 std::vector<Variant> all_variants() {
-  const render::DsnvOptions plain{.sharpen = 0, .free_space = false, .even_brightness = false};
+  const render::DsnvOptions plain{.free_space = false, .even_brightness = false};
   const auto with = [&](auto... members) {
     render::DsnvOptions options = plain;
     ((options.*members = true), ...);
@@ -261,14 +261,11 @@ std::vector<Variant> all_variants() {
   using Options = render::DsnvOptions;
   render::DsnvOptions nearest = plain;
   nearest.fusion = "nearest";
-  render::DsnvOptions sharpened = plain;
-  sharpened.sharpen = 1;
   return {
       {"smallest distance (7.10)", nearest},
       {"agreement", plain},
       {"agreement, free space", with(&Options::free_space)},
       {"agreement, even brightness", with(&Options::even_brightness)},
-      {"agreement, sharpened", sharpened},
       {"all", with(&Options::free_space, &Options::even_brightness)},
       {"default", {}},
   };

@@ -213,7 +213,7 @@ TEST(NovelView, WithoutMotionTheSourceComesBack) {
   const StereoView view = room().view(camera, pose_at({0.3, -0.2, 0.1}, {0.1, 0.2, -0.05}));
   for (const char* fusion : {"agreement", "nearest"}) {
     const NovelView shown =
-        render_novel_view(novel_of(camera, view.world_from_cam), {shared(view)}, {.fusion = fusion, .sharpen = 0});
+        render_novel_view(novel_of(camera, view.world_from_cam), {shared(view)}, {.fusion = fusion});
     EXPECT_EQ(coverage(shown), 1);
     int different = 0;
     double largest = 0;
@@ -464,22 +464,11 @@ TEST(NovelView, HolesBetweenObjectAndBackgroundGetTheBackground) {
   view.image.colRange(100, 160).setTo(200);
   view.disparity.disparity.colRange(100, 160) = 30.0f;
   view.disparity.disparity(cv::Rect(160, 80, 4, 60)) = 0.0f;
-  const NovelView shown = render_novel_view(novel_of(camera, Pose::Identity()), {shared(view)}, {.sharpen = 0});
+  const NovelView shown = render_novel_view(novel_of(camera, Pose::Identity()), {shared(view)}, {});
   for (int x = 160; x < 164; ++x) {
     EXPECT_EQ(shown.image(110, x), cv::Vec3b(50, 50, 50)) << x;
     EXPECT_EQ(shown.source(110, x), -1);
   }
-}
-
-TEST(NovelView, SharpeningUndoesTheBlurOfLookingUpBetweenPixels) {
-  // Half a pixel aside, where bilinear values blur most; the room's texture repeats down to a few pixels.
-  const RectifiedCamera camera = scene_camera();
-  const auto view = shared(room().view(camera, Pose::Identity()));
-  const NovelCamera novel = novel_of(camera, pose_at({0, 0, 0}, {0.5 / camera.f, 0.5 / camera.f, 0}));
-  const NovelView truth = room().truth(novel, kPinholeRay(novel));
-  const double blurred = psnr(render_novel_view(novel, {view}, {.sharpen = 0}), truth);
-  const double sharp = psnr(render_novel_view(novel, {view}, {.sharpen = 1}), truth);
-  EXPECT_GT(sharp, blurred + 0.3);
 }
 
 TEST(NovelView, SmallHolesAreFilledButStayMarked) {

@@ -23,7 +23,6 @@ struct DsnvOptions {
   std::string use_origin = "everywhere";  // disparities used: "measured", "within" segments, "everywhere"
   int fill_holes = 6;  // [px] widest hole of the picture that is filled from the background beside it; depth and source
                        // stay "hole"; >= 0
-  double sharpen = 0;  // [times] of the blur that looking colours up between pixels causes, so much is undone; >= 0
   // What is done to stored views before pictures are made from them (refine.h).
   int neighbours = 5;            // views that each view is compared with; 0 = views are used as they are stored
   bool free_space = false;       // corrects surfaces that lie in what neighbours see to be free, and fills holes
@@ -38,7 +37,6 @@ class PreparedSource {
   PreparedSource(std::shared_ptr<const StereoView> view, const DsnvOptions& options);
 
   const StereoView& view() const { return *view_; }
-  const cv::Mat& image() const { return image_; }            // what pictures take their colours from
   const cv::Mat1f& disparity() const { return disparity_; }  // [px] 0 = none
   float min_disparity() const { return min_disparity_; }     // [px] of the valid ones; 0 if there is none
   float max_disparity() const { return max_disparity_; }
@@ -50,7 +48,6 @@ class PreparedSource {
  private:
   static constexpr int kFirstBits = 2;  // the finest level has blocks of 4x4 pixels
   std::shared_ptr<const StereoView> view_;
-  cv::Mat image_;
   cv::Mat1f disparity_;
   float min_disparity_ = 0, max_disparity_ = 0;
   // Level k: largest and smallest disparity of each block of 2^(k+2) x 2^(k+2) pixels.

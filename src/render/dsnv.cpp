@@ -81,22 +81,14 @@ Meeting between(const Sample& a, const Sample& b, float max_step) {
   return Meeting::nothing;
 }
 
-// The part of a ray that is walked.
-struct ImagePoint {
-  float x = 0, y = 0;  // [px]
-};
-struct Stretch {
-  double from = 0, to = kBeyond;  // s of (7.2); empty if from >= to
-  bool in_image = false;          // all of it lies in the image and in front of the source: it needs no clipping
-  // Image points [px] of the tile's corner rays at `from`: upper left and right, lower left and right.
-  bool has_begin = false;
-  std::array<ImagePoint, 4> begin = {};
+// The part of a ray that is walked, by s of (7.2).
+struct Span {
+  double from = 0, to = kBeyond;  // empty if from >= to
 };
 
-// Cuts a stretch to what the source can see. Depth and the sides of the image are linear in s when multiplied by the
+// Cuts a ray to what the source can see. Depth and the sides of the image are linear in s when multiplied by the
 // depth (which is positive), so that neither the epipole (7.8) nor a ray parallel to the image plane is special.
-Stretch clip(const PreparedSource& source, const DepthRange& range, const Vector3d& q, const Vector3d& t,
-             Stretch part) {
+Span clip(const PreparedSource& source, const DepthRange& range, const Vector3d& q, const Vector3d& t, Span part) {
   const RectifiedCamera& camera = source.view().camera;
   const double last_x = source.disparity().cols - 1, last_y = source.disparity().rows - 1;
   const auto keep_where_positive = [&](double slope, double value_at_0) {
@@ -118,12 +110,6 @@ Stretch clip(const PreparedSource& source, const DepthRange& range, const Vector
   keep_where_positive(last_y * q.z() - qy, last_y * t.z() - ty);
   return part;
 }
-
-// A stretch of a ray in disparity space, where it is straight (7.4): image coordinates and the image's disparity, all
-// [px].
-struct Line {
-  float x0, y0, d0, x1, y1, d1;
-};
 
 Line line_of(const PreparedSource& source, const Vector3d& q, const Vector3d& t, double from, double to) {
   const RectifiedCamera& camera = source.view().camera;
@@ -154,75 +140,14 @@ RayHit walk(const cv::Mat1f& disparity, const Line& line, float max_step) {
     return {.meeting = meeting, .x = line.x0 + v * dx, .y = line.y0 + v * dy, .disparity = line.d0 + v * dd};
   }
 
-  // Pixel by pixel along the longer axis (7.5), to the next whole pixel beyond both ends.
-  const bool by_x = std::abs(dx) >= std::abs(dy);
-  const float major0 = by_x ? line.x0 : line.y0, minor0 = by_x ? line.y0 : line.x0;
-  const float major1 = by_x ? line.x1 : line.y1;
-  const float per_pixel = 1 / length;
-  const float minor_step = (by_x ? dy : dx) * per_pixel, d_step = dd * per_pixel;
-  const int direction = major1 > major0 ? 1 : -1;
-  const int first = static_cast<int>(direction > 0 ? std::floor(major0) : std::ceil(major0));
-  const int last = static_cast<int>(direction > 0 ? std::ceil(major1) : std::floor(major1));
-  const int steps = (last - first) * direction;
-  const float before =
-      (major0 - static_cast<float>(first)) * static_cast<float>(direction);  // [px] first pixel to the line's begin
-  const ptrdiff_t row = static_cast<ptrdiff_t>(disparity.step1());
-  const ptrdiff_t major_stride = by_x ? 1 : row, minor_stride = by_x ? row : 1;
-  const int minor_count = by_x ? disparity.rows : disparity.cols;
-  const float minor_last = static_cast<float>(minor_count - 1);
-  const float minor_first = minor0 - before * minor_step, d_first = line.d0 - before * d_step;
-  const float* start = disparity[0] + first * major_stride;
-  const ptrdiff_t advance = direction * major_stride;
-
-  const auto exact = [&](int i) {
-    const float minor = std::clamp(minor_first + static_cast<float>(i) * minor_step, 0.0f, minor_last);
-    const float image = on_line(start + i * advance, minor_stride, minor_count, minor, max_step);
-    return Sample{d_first + static_cast<float>(i) * d_step - image, image};
-  };
-  // The nearest pixel tells in most cases that the ray stays in front (or behind): the surface between connected pixels
-  // is at most half a step away from it. Only near the surface, or when the side changes, the surface itself is looked
-  // up. The nearest pixel's coordinate runs in fixed point; a thousand steps of rounding are below 0.01 px.
-  constexpr int kFractionBits = 16;
-  const float clear = 0.55f * max_step;
-  const int32_t fixed_first = static_cast<int32_t>((minor_first + 0.5f) * (1 << kFractionBits));
-  const int32_t fixed_step = static_cast<int32_t>(std::lrint(minor_step * (1 << kFractionBits)));
-  // First i in [from, steps] at which sign * delta is not clearly positive.
-  const auto skip_clear = [&](int from, float sign) {
-    int32_t fixed = fixed_first + from * fixed_step;
-    const float* pixel = start + from * advance;
-    float d = sign * (d_first + static_cast<float>(from) * d_step) - clear;
-    const float step = sign * d_step;
-    while (from < steps && d > sign * pixel[(fixed >> kFractionBits) * minor_stride]) {
-      ++from;
-      fixed += fixed_step;
-      pixel += advance;
-      d += step;
-    }
-    return from;
-  };
-
-  Sample previous = exact(0);
-  for (int i = 1; i <= steps; ++i) {
-    if (std::abs(previous.delta) > clear) {
-      const int next = skip_clear(i, previous.delta > 0 ? 1.0f : -1.0f);
-      if (next > i) previous = exact(next - 1), i = next;
-    }
-    const Sample here = exact(i);
-    const Meeting meeting = between(previous, here, max_step);
-    if (meeting != Meeting::nothing) {
-      const float v = previous.delta / (previous.delta - here.delta);  // (7.9)
-      const float travelled = static_cast<float>(i - 1) + v - before;
-      if (travelled >= -1e-3f && travelled <= length + 1e-3f) {
-        const float major = major0 + static_cast<float>(direction) * travelled, minor = minor0 + travelled * minor_step;
-        return {.meeting = meeting,
-                .x = by_x ? major : minor,
-                .y = by_x ? minor : major,
-                .disparity = line.d0 + travelled * d_step};
-      }
-    }
-    previous = here;
-  }
-  return {};
+  const LineMeeting met = walk_line(disparity[0], static_cast<ptrdiff_t>(disparity.step1()), disparity.cols,
+                                    disparity.rows, line, max_step);
+  if (met.side == 0) return {};
+  const float part = met.travelled / length;
+  return {.meeting = met.side > 0 ? Meeting::surface : Meeting::back_side,
+          .x = line.x0 + part * dx,
+          .y = line.y0 + part * dy,
+          .disparity = line.d0 + part * dd};
 }
 
 // s of a point of the source image with its disparity.
@@ -236,114 +161,126 @@ float along_ray(const PreparedSource& source, const Vector3d& q, const Vector3d&
   return static_cast<float>(q.dot(camera.point(hit.x, hit.y, hit.disparity) - t) / q.squaredNorm());
 }
 
-RayHit walk(const PreparedSource& source, const DepthRange& range, const Vector3d& q, const Vector3d& t, Stretch part,
+RayHit walk(const PreparedSource& source, const DepthRange& range, const Vector3d& q, const Vector3d& t, double from,
             float max_step) {
-  if (!part.in_image) part = clip(source, range, q, t, part);
+  const Span part = clip(source, range, q, t, {.from = from});
   if (part.from >= part.to) return {};
   RayHit hit = walk(source.disparity(), line_of(source, q, t, part.from, part.to), max_step);
   if (hit.meeting != Meeting::nothing) hit.along = along_ray(source, q, t, hit);
   return hit;
 }
 
-// The stretch in which the rays of a tile can meet a surface of the source: before it all of them run through space
-// that the source knows to be free (or does not see), after it behind everything it sees. The rays of the tile lie
-// between its four corner rays.
-Stretch tile_stretch(const Source& source, const std::array<Vector3d, 4>& corner_rays) {
-  const Stretch kNothing{.from = kBeyond, .to = 0};
-  constexpr double kLongest = 64, kFirst = 16, kShortest = 2;  // [px] lengths of the pieces that are judged at once
+// The stretch in which the rays of a tile can meet a surface of the source, by disparity [px] with the camera's offset:
+// at larger ones all of them run through space that the source knows to be free (or does not see), at smaller ones
+// behind everything it sees.
+struct Stretch {
+  float near = 0, far = 0;  // empty if near <= far
+  bool judged = false;      // not just the source's range of disparities
+  bool in_image = false;    // all of it lies in the image: it needs no clipping
+};
+
+// Sides of a rectangle that holds image points, all as upper bounds: x, -x, y, -y [px].
+using Sides = std::array<float, 4>;
+
+// At one disparity the rays of the tile lie between its four corner rays, whose image points are linear in it (7.4).
+Stretch tile_stretch(const Source& source, const TileSource& constants, const TileLines& lines) {
+  constexpr float kLongest = 64, kFirst = 16, kShortest = 2;  // [px] lengths of the pieces that are judged at once
+  constexpr float kRounding = 1e-3f;                          // [px] of disparities
   const PreparedSource& prepared = *source.prepared;
-  const RectifiedCamera& camera = prepared.view().camera;
-  const int width = prepared.disparity().cols, height = prepared.disparity().rows;
-  const Vector3d& t = source.novel_in_cam;
-  double low_qz = corner_rays[0].z(), high_qz = low_qz;
-  for (const Vector3d& q : corner_rays) low_qz = std::min(low_qz, q.z()), high_qz = std::max(high_qz, q.z());
-  if (high_qz <= 0 && t.z() < source.nearest) return kNothing;
-  if (low_qz <= 1e-6) return {};  // rays that turn away from the source: rare, walked as a whole
-
-  Stretch part;
-  part.from = t.z() < source.nearest ? (source.nearest - t.z()) / high_qz : 0;
-  part.to = (source.farthest - t.z()) / low_qz;
-  if (part.from >= part.to) return kNothing;
-  if (part.from * low_qz + t.z() < 0.5 * source.nearest) return part;  // too wide a tile for its corners to bound it
-
-  const Vector3d middle = 0.25 * (corner_rays[0] + corner_rays[1] + corner_rays[2] + corner_rays[3]);
-  const double ft = camera.f * camera.baseline;
-  // Pixels that the middle ray moves in the image for one pixel of disparity: by (7.4), 1/md and my/md.
-  const double pixels_per_disparity =
-      std::max(1e-9, std::hypot(middle.x() * t.z() - t.x() * middle.z(), middle.y() * t.z() - t.y() * middle.z()) /
-                         (camera.baseline * middle.z()));
-  // s at which the middle ray has moved on by so many pixels (negative: back).
-  const auto moved = [&](double s, double pixels) {
-    const double d = ft / (s * middle.z() + t.z()) - pixels / pixels_per_disparity;
-    return d > kSmallestDisparity ? (ft / d - t.z()) / middle.z() : kBeyond;
-  };
-  struct Corner {
-    double x, y;
-  };
-  const auto project = [&](double s, std::array<Corner, 4>& corners) {
-    for (size_t i = 0; i < 4; ++i) {
-      const Vector3d& q = corner_rays[i];
-      const double w = camera.f / (s * q.z() + t.z());
-      corners[i] = {(s * q.x() + t.x()) * w + camera.cx, (s * q.y() + t.y()) * w + camera.cy};
+  const auto ft = static_cast<float>(constants.f * constants.baseline);
+  const float tz = constants.translation[2], offset = constants.disparity_offset;
+  Stretch part{.near = ft / std::max(static_cast<float>(source.nearest), tz),
+               .far = ft / static_cast<float>(source.farthest)};
+  if (part.near <= part.far) return part;
+  constexpr std::array<size_t, 4> kCorners = {ray_index(0, 0), ray_index(kTile, 0), ray_index(0, kTile),
+                                              ray_index(kTile, kTile)};
+  std::array<Sides, 4> at_zero, slopes;
+  float mx = 0, my = 0;
+  for (size_t k = 0; k < 4; ++k) {
+    const size_t i = kCorners[k];
+    if (lines.per_qz[i] <= 0) return part;
+    at_zero[k] = {lines.x0[i], -lines.x0[i], lines.y0[i], -lines.y0[i]};
+    slopes[k] = {lines.mx[i], -lines.mx[i], lines.my[i], -lines.my[i]};
+    mx += 0.25f * lines.mx[i], my += 0.25f * lines.my[i];
+  }
+  const float per_pixel = 1 / std::max(1e-6f, std::max(std::abs(mx), std::abs(my)));  // [disparities]
+  const auto sides_at = [&](float disparity) {
+    Sides most;
+    for (size_t i = 0; i < 4; ++i) most[i] = at_zero[0][i] + slopes[0][i] * disparity;
+    for (size_t k = 1; k < 4; ++k) {
+      for (size_t i = 0; i < 4; ++i) most[i] = std::max(most[i], at_zero[k][i] + slopes[k][i] * disparity);
     }
+    return most;
   };
-  // Pixels that can matter between two s, with one more on each side: the surface at a point depends on its neighbours.
-  struct Footprint {
+  // Pixels that can matter between two disparities, with one more on each side: the surface at a point depends on its
+  // neighbours.
+  const auto last_x = static_cast<float>(constants.width - 1), last_y = static_cast<float>(constants.height - 1);
+  struct Area {
     int x0, y0, x1, y1;
-    bool cut;  // part of it lies outside the image
     bool empty() const { return x0 > x1 || y0 > y1; }
   };
-  const auto footprint = [&](const std::array<Corner, 4>& a, const std::array<Corner, 4>& b) {
-    double left = a[0].x, right = left, top = a[0].y, bottom = top;
-    for (const auto* corners : {&a, &b}) {
-      for (const Corner& corner : *corners) {
-        left = std::min(left, corner.x), right = std::max(right, corner.x);
-        top = std::min(top, corner.y), bottom = std::max(bottom, corner.y);
-      }
-    }
-    return Footprint{.x0 = static_cast<int>(std::clamp(left - 1, 0.0, double(width))),
-                     .y0 = static_cast<int>(std::clamp(top - 1, 0.0, double(height))),
-                     .x1 = static_cast<int>(std::clamp(right + 2, -1.0, width - 1.0)),
-                     .y1 = static_cast<int>(std::clamp(bottom + 2, -1.0, height - 1.0)),
-                     .cut = left < 0 || top < 0 || right > width - 1 || bottom > height - 1};
+  const auto area = [&](const Sides& a, const Sides& b) {
+    Sides most;
+    for (size_t i = 0; i < 4; ++i) most[i] = std::max(a[i], b[i]);
+    return Area{.x0 = static_cast<int>(std::clamp(-most[1] - 1, 0.0f, last_x + 1)),
+                .y0 = static_cast<int>(std::clamp(-most[3] - 1, 0.0f, last_y + 1)),
+                .x1 = static_cast<int>(std::clamp(most[0] + 2, -1.0f, last_x)),
+                .y1 = static_cast<int>(std::clamp(most[2] + 2, -1.0f, last_y))};
+  };
+  const auto is_free = [&](const Sides& a, const Sides& b, float smallest) {
+    const Area seen = area(a, b);
+    return seen.empty() || prepared.max_in(seen.x0, seen.y0, seen.x1, seen.y1) < smallest - offset - kRounding;
+  };
+  const auto is_behind = [&](const Sides& a, const Sides& b, float largest) {
+    const Area seen = area(a, b);
+    return seen.empty() || prepared.min_in(seen.x0, seen.y0, seen.x1, seen.y1) > largest - offset + kRounding;
   };
 
-  std::array<Corner, 4> here, next;
-  project(part.from, here);
-  for (double stride = kFirst; stride >= kShortest;) {
-    const double s = std::min(moved(part.from, stride), part.to);
-    project(s, next);
-    const Footprint area = footprint(here, next);
-    const double lowest = ft / (s * high_qz + t.z()) - camera.disparity_offset;
-    if (area.empty() || prepared.max_in(area.x0, area.y0, area.x1, area.y1) < lowest - 1e-3) {
-      if (s >= part.to) return kNothing;
-      part.from = s;
-      here = next;
-      stride = std::min(2 * stride, kLongest);
+  // Ever longer pieces until one of them does not lie in free space (behind everything), then halves of it.
+  Sides near = sides_at(part.near), far = sides_at(part.far);
+  bool growing = true;
+  for (float stride = kFirst; stride >= kShortest;) {
+    const float next = std::max(part.near - stride * per_pixel, part.far);
+    const Sides sides = sides_at(next);
+    if (is_free(near, sides, next)) {
+      part.near = next;
+      if (part.near <= part.far) return part;
+      near = sides;
     } else {
-      stride *= 0.5;
+      growing = false;
     }
+    stride = growing ? std::min(2 * stride, kLongest) : 0.5f * stride;
   }
-  const std::array<Corner, 4> begin = here;
-  project(part.to, here);
-  for (double stride = kFirst; stride >= kShortest;) {
-    const double s = std::max(moved(part.to, -stride), part.from);
-    project(s, next);
-    const Footprint area = footprint(next, here);
-    const double highest = ft / (s * low_qz + t.z()) - camera.disparity_offset;
-    if (area.empty() || prepared.min_in(area.x0, area.y0, area.x1, area.y1) > highest + 1e-3) {
-      if (s <= part.from) return kNothing;
-      part.to = s;
-      here = next;
-      stride = std::min(2 * stride, kLongest);
+  growing = true;
+  for (float stride = kFirst; stride >= kShortest;) {
+    const float next = std::min(part.far + stride * per_pixel, part.near);
+    const Sides sides = sides_at(next);
+    if (is_behind(far, sides, next)) {
+      part.far = next;
+      if (part.near <= part.far) return part;
+      far = sides;
     } else {
-      stride *= 0.5;
+      growing = false;
     }
+    stride = growing ? std::min(2 * stride, kLongest) : 0.5f * stride;
   }
-  part.in_image = !footprint(begin, here).cut;
-  part.has_begin = true;
-  for (size_t i = 0; i < 4; ++i) part.begin[i] = {static_cast<float>(begin[i].x), static_cast<float>(begin[i].y)};
+  part.judged = true;
+  part.in_image = std::max(near[0], far[0]) <= last_x && std::max(near[1], far[1]) <= 0 &&
+                  std::max(near[2], far[2]) <= last_y && std::max(near[3], far[3]) <= 0;
   return part;
+}
+
+// Cuts the stretch of a ray with x (or y) = at_zero + slope * disparity to what lies in [0, last].
+void clip(float at_zero, float slope, float last, Stretch& part) {
+  const float at_near = at_zero + slope * part.near, at_far = at_zero + slope * part.far;
+  if ((at_near < 0 && at_far < 0) || (at_near > last && at_far > last)) {
+    part.near = part.far;
+    return;
+  }
+  if (at_near < 0) part.near = -at_zero / slope;
+  if (at_near > last) part.near = (last - at_zero) / slope;
+  if (at_far < 0) part.far = -at_zero / slope;
+  if (at_far > last) part.far = (last - at_zero) / slope;
 }
 
 cv::Vec3f colour_at(const cv::Mat& image, float x, float y) {
@@ -438,11 +375,12 @@ class TileWalk {
   // All meetings of the tile's rays. Where squares of the tile show one smooth surface, rays at their corners are
   // walked and the disparities between them are a guess that leads to the surface; all else is walked. `continues`: the
   // tile is the right neighbour of the one before, with which it shares a column of rays.
-  void meet(const Rays& rays, const TileRays& vectors, const Stretch& part, bool continues, TileHits& hits) {
-    const bool was_empty = part_.from >= part_.to;
+  void meet(const Rays& rays, const TileRays& vectors, bool continues, TileHits& hits) {
+    const bool was_empty = part_.near <= part_.far;
     rays_ = &rays;
-    part_ = part;
-    if (part.from >= part.to) {
+    find_lines(constants_, vectors, lines_);
+    part_ = tile_stretch(source_, constants_, lines_);
+    if (part_.near <= part_.far) {
       hits = {};
       return;
     }
@@ -453,8 +391,8 @@ class TileWalk {
       known_[row] = shared;
     }
     wanted_ = {};
-    split(0, 0, part.has_begin ? kTile : 2, hits);
-    uint64_t failed = settle(constants_, vectors, wanted_, max_step_, hits);
+    split(0, 0, part_.judged ? kTile : 2, hits);
+    uint64_t failed = settle(constants_, lines_, wanted_, max_step_, hits);
     for (; failed != 0; failed &= failed - 1) {
       const int pixel = std::countr_zero(failed);
       put(pixel % kTile, pixel / kTile, hits);
@@ -466,11 +404,40 @@ class TileWalk {
     const size_t i = static_cast<size_t>(y * kSide + x);
     if (!known_[i]) {
       known_[i] = true;
-      met_[i] = walk(*source_.prepared, range_,
-                     source_.cam_from_novel * (*rays_)[static_cast<size_t>(y)][static_cast<size_t>(x)],
-                     source_.novel_in_cam, part_, max_step_);
+      const size_t line = ray_index(x, y);
+      met_[i] = lines_.per_qz[line] > 0
+                    ? along_line(line)
+                    : walk(*source_.prepared, range_,
+                           source_.cam_from_novel * (*rays_)[static_cast<size_t>(y)][static_cast<size_t>(x)],
+                           source_.novel_in_cam, 0, max_step_);
     }
     return met_[i];
+  }
+
+  RayHit along_line(size_t i) const {
+    const float x0 = lines_.x0[i], y0 = lines_.y0[i], mx = lines_.mx[i], my = lines_.my[i];
+    const auto last_x = static_cast<float>(constants_.width - 1), last_y = static_cast<float>(constants_.height - 1);
+    Stretch part = part_;
+    if (!part.in_image) {
+      clip(x0, mx, last_x, part);
+      if (part.near > part.far) clip(y0, my, last_y, part);
+      if (part.near <= part.far) return {};
+    }
+    const auto within = [](float value, float last) { return std::min(std::max(value, 0.0f), last); };
+    const float offset = constants_.disparity_offset;
+    RayHit hit = walk(source_.prepared->disparity(),
+                      {.x0 = within(x0 + mx * part.near, last_x),
+                       .y0 = within(y0 + my * part.near, last_y),
+                       .d0 = part.near - offset,
+                       .x1 = within(x0 + mx * part.far, last_x),
+                       .y1 = within(y0 + my * part.far, last_y),
+                       .d1 = part.far - offset},
+                      max_step_);
+    if (hit.meeting != Meeting::nothing) {
+      const float depth = constants_.f * constants_.baseline / (hit.disparity + offset);
+      hit.along = (depth - constants_.translation[2]) * lines_.per_qz[i];
+    }
+    return hit;
   }
 
   void put(int x, int y, TileHits& hits) {
@@ -509,7 +476,8 @@ class TileWalk {
   void square(int x0, int y0, int size, TileHits& hits) {
     const std::array<const RayHit*, 4> corners = {&ray(x0, y0), &ray(x0 + size, y0), &ray(x0, y0 + size),
                                                   &ray(x0 + size, y0 + size)};
-    if (is_smooth(corners, x0, y0, size)) {
+    if (is_smooth(corners, size) &&
+        (size == 2 || is_unhidden(corners, x0, y0, size) || (size == 4 && keeps_on(corners, x0 + 2, y0 + 2)))) {
       interpolate(corners, x0, y0, size, hits);
     } else if (size > 2) {
       const int half = size / 2;
@@ -524,31 +492,36 @@ class TileWalk {
     }
   }
 
-  bool is_smooth(const std::array<const RayHit*, 4>& corners, int x0, int y0, int size) const {
+  // True if the rays may well meet one surface.
+  bool is_smooth(const std::array<const RayHit*, 4>& corners, int size) const {
     const float farthest_apart = 2 * static_cast<float>(size);  // [px] in the source image
-    const Meeting meeting = corners[0]->meeting;
-    float low_x = corners[0]->x, high_x = low_x, low_y = corners[0]->y, high_y = low_y;
+    const RayHit& first = *corners[0];
+    float low_x = first.x, high_x = low_x, low_y = first.y, high_y = low_y, low = first.disparity, high = low;
     for (const RayHit* corner : corners) {
-      if (corner->meeting != meeting) return false;
+      if (corner->meeting != first.meeting) return false;
       low_x = std::min(low_x, corner->x), high_x = std::max(high_x, corner->x);
       low_y = std::min(low_y, corner->y), high_y = std::max(high_y, corner->y);
+      low = std::min(low, corner->disparity), high = std::max(high, corner->disparity);
     }
-    if (meeting == Meeting::nothing) return size <= 4;
-    if (high_x - low_x > farthest_apart || high_y - low_y > farthest_apart) return false;
-    if (size == 2) return true;
-    // Nothing that belongs to another object may stand before a larger square.
-    float disparity = corners[0]->disparity, lowest = disparity;
+    if (first.meeting == Meeting::nothing) return size <= 4;
+    return high_x - low_x <= farthest_apart && high_y - low_y <= farthest_apart &&
+           (size == 2 || high - low <= max_step_);
+  }
+
+  // True if nothing that belongs to another object stands before the surface that the corners meet.
+  bool is_unhidden(const std::array<const RayHit*, 4>& corners, int x0, int y0, int size) const {
+    const RayHit& first = *corners[0];
+    if (first.meeting == Meeting::nothing) return true;
+    float low_x = first.x, high_x = low_x, low_y = first.y, high_y = low_y, nearest = first.disparity;
     for (const RayHit* corner : corners) {
-      disparity = std::max(disparity, corner->disparity);
-      lowest = std::min(lowest, corner->disparity);
+      low_x = std::min(low_x, corner->x), high_x = std::max(high_x, corner->x);
+      low_y = std::min(low_y, corner->y), high_y = std::max(high_y, corner->y);
+      nearest = std::max(nearest, corner->disparity);
     }
-    if (disparity - lowest > max_step_) return false;
     for (const int y : {y0, y0 + size}) {
       for (const int x : {x0, x0 + size}) {
-        const float fx = static_cast<float>(x) / kTile, fy = static_cast<float>(y) / kTile;
-        const auto& [a, b, c, d] = part_.begin;
-        const float at_x = (1 - fy) * ((1 - fx) * a.x + fx * b.x) + fy * ((1 - fx) * c.x + fx * d.x);
-        const float at_y = (1 - fy) * ((1 - fx) * a.y + fx * b.y) + fy * ((1 - fx) * c.y + fx * d.y);
+        const size_t i = ray_index(x, y);
+        const float at_x = lines_.x0[i] + lines_.mx[i] * part_.near, at_y = lines_.y0[i] + lines_.my[i] * part_.near;
         low_x = std::min(low_x, at_x), high_x = std::max(high_x, at_x);
         low_y = std::min(low_y, at_y), high_y = std::max(high_y, at_y);
       }
@@ -558,7 +531,16 @@ class TileWalk {
       return static_cast<int>(std::clamp(at, 0.0f, static_cast<float>(count - 1)));
     };
     return source_.prepared->max_in(pixel(low_x, width), pixel(low_y, height), pixel(high_x + 1, width),
-                                    pixel(high_y + 1, height)) <= disparity + 0.5f * max_step_;
+                                    pixel(high_y + 1, height)) <= nearest + max_step_;
+  }
+
+  // True if the ray in the middle of a square meets the surface that its corners meet.
+  bool keeps_on(const std::array<const RayHit*, 4>& corners, int x, int y) {
+    constexpr float kBend = 0.5f;  // [px]
+    const RayHit& middle = ray(x, y);
+    const float expected =
+        0.25f * (corners[0]->disparity + corners[1]->disparity + corners[2]->disparity + corners[3]->disparity);
+    return middle.meeting == corners[0]->meeting && std::abs(middle.disparity - expected) <= kBend;
   }
 
   void interpolate(const std::array<const RayHit*, 4>& corners, int x0, int y0, int size, TileHits& hits) {
@@ -587,6 +569,7 @@ class TileWalk {
   float max_step_;
   TileSource constants_;
   const Rays* rays_ = nullptr;
+  TileLines lines_;
   Stretch part_;
   std::array<bool, kSide * kSide> known_{};
   std::array<RayHit, kSide * kSide> met_;
@@ -621,7 +604,7 @@ void trace(const NovelCamera& camera, const std::vector<Source>& sources, const 
     std::vector<TileHits> hits(count);
     std::vector<RayHit> of_pixel(count);
     TileWalk::Rays rays;
-    TileRays vectors;
+    TileRays vectors{};
     TilePixels pixels;
     for (int x_begin = 0; x_begin < width; x_begin += kTile) {
       for (size_t y = 0; y < kSide; ++y) {
@@ -629,22 +612,13 @@ void trace(const NovelCamera& camera, const std::vector<Source>& sources, const 
           const Vector3d ray =
               pixel_ray(camera, (x_begin + static_cast<int>(x)) * step, (y_begin + static_cast<int>(y)) * step);
           rays[y][x] = ray;
-          if (x == kTile || y == kTile) continue;
-          const size_t i = y * kTile + x;
-          vectors.x.at[i] = static_cast<float>(ray.x());
-          vectors.y.at[i] = static_cast<float>(ray.y());
-          vectors.z.at[i] = static_cast<float>(ray.z());
+          const size_t i = ray_index(static_cast<int>(x), static_cast<int>(y));
+          vectors.x[i] = static_cast<float>(ray.x());
+          vectors.y[i] = static_cast<float>(ray.y());
+          vectors.z[i] = static_cast<float>(ray.z());
         }
       }
-      for (size_t i = 0; i < count; ++i) {
-        Stretch part;
-        if (camera.projection == Projection::pinhole) {
-          const Matrix3d& r = sources[i].cam_from_novel;
-          part = tile_stretch(sources[i],
-                              {r * rays[0][0], r * rays[0][kTile], r * rays[kTile][0], r * rays[kTile][kTile]});
-        }
-        walks[i].meet(rays, vectors, part, x_begin > 0, hits[i]);
-      }
+      for (size_t i = 0; i < count; ++i) walks[i].meet(rays, vectors, x_begin > 0, hits[i]);
       if (agreement) fuse_by_agreement(constants.data(), hits.data(), count, pixels);
       const int columns = std::min(kTile, width - x_begin), rows = y_end - y_begin;
       for (int y = 0; y < rows; ++y) {
@@ -774,7 +748,7 @@ Vector3d pixel_ray(const NovelCamera& camera, double x, double y) {
 RayHit walk_ray(const PreparedSource& source, const Vector3d& direction, const Vector3d& origin, double from,
                 double max_disparity_step) {
   if (source.max_disparity() <= 0) return {};
-  return walk(source, depth_range(source), direction, origin, {.from = from}, static_cast<float>(max_disparity_step));
+  return walk(source, depth_range(source), direction, origin, from, static_cast<float>(max_disparity_step));
 }
 
 NovelView render_novel_view(const NovelCamera& camera,

@@ -1,5 +1,7 @@
 #include "tile_kernels.h"
 
+#include <cmath>
+
 #include "iris/types/disparity_image.h"
 
 #undef HWY_TARGET_INCLUDE
@@ -50,7 +52,95 @@ HWY_INLINE Floats disparity_at(const TileSource& source, Floats x, Floats y, Flo
   return joined(a, b, fx, max_step);
 }
 
-HWY_ATTR uint64_t settle(const TileSource& source, const TileRays& rays, const TileFloats& wanted, float max_step,
+HWY_ATTR LineMeeting walk_line(const float* disparity, ptrdiff_t stride, int width, int height, const Line& line,
+                               float max_step) {
+  const Tag d;
+  const IntTag di;
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  const auto zero = hn::Zero(d);
+  const float dx = line.x1 - line.x0, dy = line.y1 - line.y0, dd = line.d1 - line.d0;
+  const bool by_x = std::abs(dx) >= std::abs(dy);
+  const float length = by_x ? std::abs(dx) : std::abs(dy), per_pixel = 1 / length;
+  const float major0 = by_x ? line.x0 : line.y0, major1 = by_x ? line.x1 : line.y1;
+  const int direction = major1 > major0 ? 1 : -1;
+  // To the next whole pixel beyond both ends.
+  const auto up = [](float value) {
+    const int below = static_cast<int>(value);
+    return below + (static_cast<float>(below) < value ? 1 : 0);
+  };
+  const int first = direction > 0 ? static_cast<int>(major0) : up(major0);
+  const int last = direction > 0 ? up(major1) : static_cast<int>(major1);
+  const int steps = (last - first) * direction;
+  const float before = (major0 - static_cast<float>(first)) * static_cast<float>(direction);  // [px] to the begin
+  const float minor_step = (by_x ? dy : dx) * per_pixel, d_step = dd * per_pixel;
+  const float minor_first = (by_x ? line.y0 : line.x0) - before * minor_step, d_first = line.d0 - before * d_step;
+  const int row = static_cast<int>(stride), count = by_x ? height : width;
+  const int major_stride = by_x ? 1 : row, minor_stride = by_x ? row : 1;
+  const float* start = disparity + first * static_cast<ptrdiff_t>(major_stride);
+  const float* start_beside = start + (count > 1 ? minor_stride : 0);
+
+  // Each lane is a sample; pairs of neighbouring lanes are judged, so that vectors overlap by one sample. Lanes beyond
+  // the last sample repeat it, and meet nothing.
+  const auto lane = hn::Iota(di, 0);
+  const auto following = hn::IndicesFromVec(d, hn::Min(hn::Add(lane, hn::Set(di, 1)), hn::Set(di, lanes - 1)));
+  for (int i = 0; i < steps; i += lanes - 1) {
+    const auto step = hn::Min(hn::Add(lane, hn::Set(di, i)), hn::Set(di, steps));
+    const auto at = hn::ConvertTo(d, step);
+    const auto minor =
+        hn::Min(hn::Max(hn::MulAdd(at, set(minor_step), set(minor_first)), zero), set(static_cast<float>(count - 1)));
+    const auto beside = pixel_before(minor, count);
+    const auto index =
+        hn::Add(hn::Mul(step, hn::Set(di, direction * major_stride)), hn::Mul(beside, hn::Set(di, minor_stride)));
+    const auto image = joined(hn::GatherIndex(d, start, index), hn::GatherIndex(d, start_beside, index),
+                              hn::Sub(minor, hn::ConvertTo(d, beside)), set(max_step));
+    const auto delta = hn::Sub(hn::MulAdd(at, set(d_step), set(d_first)), image);  // (7.9)
+    const auto next_image = hn::TableLookupLanes(image, following), next = hn::TableLookupLanes(delta, following);
+    // Connected is what is continuous in the disparity *image*: where the novel camera is near the source, the ray's
+    // own disparity may change by any amount a pixel.
+    const auto connected = hn::And(hn::And(hn::Gt(image, zero), hn::Gt(next_image, zero)),
+                                   hn::Le(hn::Abs(hn::Sub(image, next_image)), set(max_step)));
+    const auto surface = hn::And(hn::Gt(delta, zero), hn::Le(next, zero));
+    const auto back = hn::And(hn::Lt(delta, zero), hn::Ge(next, zero));
+    const auto meets = hn::And(connected, hn::Or(surface, back));
+    if (hn::AllFalse(d, meets)) continue;
+    const auto part = hn::Div(delta, hn::IfThenElse(meets, hn::Sub(delta, next), set(1)));
+    const auto travelled = hn::Add(at, hn::Sub(part, set(before)));
+    const auto on_line = hn::And(hn::Ge(travelled, set(-1e-3f)), hn::Le(travelled, set(length + 1e-3f)));
+    const intptr_t found = hn::FindFirstTrue(d, hn::And(meets, on_line));
+    if (found < 0) continue;
+    TileFloats all_travelled, all_delta;
+    hn::Store(travelled, d, all_travelled.at);
+    hn::Store(delta, d, all_delta.at);
+    return {.side = all_delta.at[found] > 0 ? 1 : -1, .travelled = all_travelled.at[found]};
+  }
+  return {};
+}
+
+HWY_ATTR void find_lines(const TileSource& source, const TileRays& rays, TileLines& lines) {
+  const Tag d;
+  const float* r = source.rotation;
+  const auto tz = set(source.translation[2]);
+  const auto per_baseline = set(1 / source.baseline);
+  for (size_t i = 0; i < kTileRays; i += hn::Lanes(d)) {
+    const auto ray_x = hn::Load(d, rays.x + i), ray_y = hn::Load(d, rays.y + i), ray_z = hn::Load(d, rays.z + i);
+    const auto turned = [&](int row) {
+      return hn::MulAdd(set(r[3 * row]), ray_x,
+                        hn::MulAdd(set(r[3 * row + 1]), ray_y, hn::Mul(set(r[3 * row + 2]), ray_z)));
+    };
+    const auto qx = turned(0), qy = turned(1), qz = turned(2);
+    const auto square = hn::MulAdd(qx, qx, hn::MulAdd(qy, qy, hn::Mul(qz, qz)));
+    const auto good = hn::Gt(qz, hn::Sqrt(hn::Mul(set(0.1f), square)));
+    const auto per_qz = hn::IfThenElseZero(good, hn::Div(set(1), hn::IfThenElse(good, qz, set(1))));
+    const auto slope_x = hn::Mul(qx, per_qz), slope_y = hn::Mul(qy, per_qz);
+    hn::Store(hn::MulAdd(set(source.f), slope_x, set(source.cx)), d, lines.x0 + i);
+    hn::Store(hn::MulAdd(set(source.f), slope_y, set(source.cy)), d, lines.y0 + i);
+    hn::Store(hn::Mul(hn::NegMulAdd(tz, slope_x, set(source.translation[0])), per_baseline), d, lines.mx + i);
+    hn::Store(hn::Mul(hn::NegMulAdd(tz, slope_y, set(source.translation[1])), per_baseline), d, lines.my + i);
+    hn::Store(per_qz, d, lines.per_qz + i);
+  }
+}
+
+HWY_ATTR uint64_t settle(const TileSource& source, const TileLines& lines, const TileFloats& wanted, float max_step,
                          TileHits& hits) {
   constexpr float kSettled = 5e-4f;        // [px] a guess as good as this is taken
   constexpr float kDisparityError = 0.5f;  // [px] largest delta of the second sample
@@ -58,32 +148,17 @@ HWY_ATTR uint64_t settle(const TileSource& source, const TileRays& rays, const T
   const Tag d;
   const auto zero = hn::Zero(d), one = set(1);
   const auto steps = set(max_step);
-  const float* r = source.rotation;
   const auto tz = set(source.translation[2]);
-  const auto per_baseline = set(1 / source.baseline);
   const auto offset = set(source.disparity_offset);
   const auto last_x = set(static_cast<float>(source.width - 1)), last_y = set(static_cast<float>(source.height - 1));
   uint64_t failed = 0;
   for (size_t i = 0; i < kTilePixels; i += hn::Lanes(d)) {
     const auto want = hn::Gt(hn::Load(d, wanted.at + i), zero);
     if (hn::AllFalse(d, want)) continue;
-    const auto ray_x = hn::Load(d, rays.x.at + i), ray_y = hn::Load(d, rays.y.at + i),
-               ray_z = hn::Load(d, rays.z.at + i);
-    const auto turned = [&](int row) {
-      return hn::MulAdd(set(r[3 * row]), ray_x,
-                        hn::MulAdd(set(r[3 * row + 1]), ray_y, hn::Mul(set(r[3 * row + 2]), ray_z)));
-    };
-    const auto qx = turned(0), qy = turned(1), qz = turned(2);
-    // Rays that are nearly parallel to the image plane are left to the exact walk.
-    const auto square = hn::MulAdd(qx, qx, hn::MulAdd(qy, qy, hn::Mul(qz, qz)));
-    auto good = hn::And(want, hn::Gt(qz, hn::Sqrt(hn::Mul(set(0.1f), square))));
-    const auto per_qz = hn::Div(one, hn::IfThenElse(good, qz, one));
-    const auto slope_x = hn::Mul(qx, per_qz), slope_y = hn::Mul(qy, per_qz);
-    // x = x0 + mx (d + offset), where x0 is the ray's vanishing point.
-    const auto x0 = hn::MulAdd(set(source.f), slope_x, set(source.cx));
-    const auto y0 = hn::MulAdd(set(source.f), slope_y, set(source.cy));
-    const auto mx = hn::Mul(hn::NegMulAdd(tz, slope_x, set(source.translation[0])), per_baseline);
-    const auto my = hn::Mul(hn::NegMulAdd(tz, slope_y, set(source.translation[1])), per_baseline);
+    const auto per_qz = hn::Load(d, lines.per_qz + i);
+    auto good = hn::And(want, hn::Gt(per_qz, zero));
+    const auto x0 = hn::Load(d, lines.x0 + i), y0 = hn::Load(d, lines.y0 + i);
+    const auto mx = hn::Load(d, lines.mx + i), my = hn::Load(d, lines.my + i);
     const auto in_image = [&](Floats x, Floats y) {
       return hn::And(hn::And(hn::Ge(x, zero), hn::Le(x, last_x)), hn::And(hn::Ge(y, zero), hn::Le(y, last_y)));
     };
@@ -270,12 +345,23 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace iris::render {
 
+HWY_EXPORT(walk_line);
+HWY_EXPORT(find_lines);
 HWY_EXPORT(settle);
 HWY_EXPORT(fuse_by_agreement);
 
-uint64_t settle(const TileSource& source, const TileRays& rays, const TileFloats& wanted, float max_step,
+LineMeeting walk_line(const float* disparity, ptrdiff_t stride, int width, int height, const Line& line,
+                      float max_step) {
+  return HWY_DYNAMIC_DISPATCH(walk_line)(disparity, stride, width, height, line, max_step);
+}
+
+void find_lines(const TileSource& source, const TileRays& rays, TileLines& lines) {
+  HWY_DYNAMIC_DISPATCH(find_lines)(source, rays, lines);
+}
+
+uint64_t settle(const TileSource& source, const TileLines& lines, const TileFloats& wanted, float max_step,
                 TileHits& hits) {
-  return HWY_DYNAMIC_DISPATCH(settle)(source, rays, wanted, max_step, hits);
+  return HWY_DYNAMIC_DISPATCH(settle)(source, lines, wanted, max_step, hits);
 }
 
 void fuse_by_agreement(const TileSource* sources, const TileHits* hits, size_t count, TilePixels& pixels) {

@@ -157,6 +157,12 @@ std::string calibration_report_html(const CalibrationReport& report) {
       row({"RMS before that: each camera calibrated alone, the rig as one pair shows it", "", "", pixels(r.start_rms)});
   html += row({"standard deviation of a coordinate", "", "", pixels(r.sigma)});
   html += "</table>\n";
+  html += r.sheet_along > 0
+              ? fmt::format(
+                    "<p>The target is uneven: its corners lie {:.2f} mm beside their places and {:.2f} mm above "
+                    "or below its plane (RMS). The images show it, and the calibration allows for it.</p>\n",
+                    1000 * r.sheet_along, 1000 * r.sheet_across)
+              : "<p>The target is flat and as large as stated, as far as the images tell.</p>\n";
   html += fmt::format(
       "<p>Rows after rectification, of {} corners in {} pairs, each rectified by a calibration that did not use it "
       "(cross-validation): RMS <b>{}</b>, mean of the absolute values {}, worst pair {}. Stereo wants less than 0.2 "

@@ -67,6 +67,12 @@ int run(Calibrate& state) {
   const std::vector<fs::path> written = calibrate::write_calibration(state.out, format, result.calibration, comment);
   spdlog::info("RMS {:.3f} px (left {:.3f}, right {:.3f}), before both were calibrated together {:.3f} px", result.rms,
                result.left_rms, result.right_rms, result.start_rms);
+  if (result.sheet_along > 0) {
+    spdlog::info(
+        "the target is uneven, which is allowed for: its corners lie {:.2f} mm beside their places and {:.2f} mm "
+        "above or below its plane (RMS)",
+        1000 * result.sheet_along, 1000 * result.sheet_across);
+  }
   for (const calibrate::Parameter& p : result.parameters) {
     spdlog::info("  {:<14} {:>12.5g} +- {:.2g} {}", p.name, p.value, p.sigma, p.unit);
   }

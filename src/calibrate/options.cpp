@@ -10,6 +10,9 @@ void CalibrateOptions::declare(OptionSet& set) {
       "(equidistant, k1 to k4); auto: radtan, or radtan4 for formats without k3 (Kalibr, EuRoC)");
   set.add("robust", robust, "sigma", 0, 100,
           "corners that are further off count less (Huber), so that single wrong ones do no harm; 0: all count alike");
+  set.add("flatness", flatness, "of the longer side", 0, 0.05,
+          "how far the target's corners lie beside where they should be, in the sheet and across it (standard "
+          "deviation): their places are calibrated as well where that explains the images better; 0: a perfect target");
   set.add("max_blur", max_blur, "times", 1, 100,
           "images whose borders of black and white are so many times as blurred as those of the others are left out");
   set.add("min_change", min_change, "px", 0, 1000,

@@ -108,13 +108,11 @@ void transform(const T* t, const T* p, T* q) {
 
 template <bool kFisheye>
 struct LeftResidual {
-  Eigen::Vector3d corner;
   Vec seen;
   template <class T>
-  bool operator()(const T* camera, const T* left_from_grid, T* residual) const {
-    const T p[3] = {T(corner.x()), T(corner.y()), T(corner.z())};
+  bool operator()(const T* camera, const T* left_from_grid, const T* corner, T* residual) const {
     T q[3];
-    transform(left_from_grid, p, q);
+    transform(left_from_grid, corner, q);
     if (!(q[2] > T(1e-9))) return false;
     T pixel[2];
     project<kFisheye>(camera, q, pixel);
@@ -126,19 +124,29 @@ struct LeftResidual {
 
 template <bool kFisheye>
 struct RightResidual {
-  Eigen::Vector3d corner;
   Vec seen;
   template <class T>
-  bool operator()(const T* camera, const T* right_from_left, const T* left_from_grid, T* residual) const {
-    const T p[3] = {T(corner.x()), T(corner.y()), T(corner.z())};
+  bool operator()(const T* camera, const T* right_from_left, const T* left_from_grid, const T* corner,
+                  T* residual) const {
     T q[3], s[3];
-    transform(left_from_grid, p, q);
+    transform(left_from_grid, corner, q);
     transform(right_from_left, q, s);
     if (!(s[2] > T(1e-9))) return false;
     T pixel[2];
     project<kFisheye>(camera, s, pixel);
     residual[0] = T(seen.x()) - pixel[0];
     residual[1] = T(seen.y()) - pixel[1];
+    return true;
+  }
+};
+
+// What is known of a corner's place on the sheet before: where it should be. In pixels, like the errors of the images.
+struct SheetResidual {
+  Eigen::Vector3d corner;
+  const double* weight;  // [px/m]
+  template <class T>
+  bool operator()(const T* place, T* residual) const {
+    for (int i = 0; i < 3; ++i) residual[i] = *weight * (place[i] - corner(i));
     return true;
   }
 };
@@ -283,25 +291,39 @@ double rms_of(double sum, int count) { return count == 0 ? 0 : std::sqrt(sum / c
 
 // --- the joint optimisation ----------------------------------------------------------------------------------------
 
+// (2.8), and where wanted the places of the corners on the sheet as well: prints and boards are not perfect.
 class JointProblem {
  public:
+  // `sheet_sigma` [m]: standard deviation of the corners from their places in `sheet`; 0 = they are exactly there.
   JointProblem(const std::vector<TargetView>& views, const std::vector<Eigen::Vector3d>& sheet, const Lens& lens,
-               const StereoCalibration& start, const std::vector<Pose>& left_from_grid)
+               const StereoCalibration& start, const std::vector<Pose>& left_from_grid, double sheet_sigma)
       : lens_(lens),
+        sheet_sigma_(sheet_sigma),
         left_(intrinsics_of(start.left)),
         right_(intrinsics_of(start.right)),
         right_from_left_(transform_of(start.right_from_left)) {
     for (const Pose& pose : left_from_grid) grids_.push_back(transform_of(pose));
+    for (const Eigen::Vector3d& p : sheet) sheet_.push_back({p.x(), p.y(), p.z()});
     ceres::Problem::Options options;
     options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
     problem_ = std::make_unique<ceres::Problem>(options);
     loss_ = std::make_unique<ceres::LossFunctionWrapper>(nullptr, ceres::TAKE_OWNERSHIP);
     for (size_t v = 0; v < views.size(); ++v) {
       for (size_t i = 0; i < views[v].left.size(); ++i) {
-        add_left(sheet[static_cast<size_t>(views[v].left.ids[i])], views[v].left.points[i], v);
+        add_left(static_cast<size_t>(views[v].left.ids[i]), views[v].left.points[i], v);
       }
       for (size_t i = 0; i < views[v].right.size(); ++i) {
-        add_right(sheet[static_cast<size_t>(views[v].right.ids[i])], views[v].right.points[i], v);
+        add_right(static_cast<size_t>(views[v].right.ids[i]), views[v].right.points[i], v);
+      }
+      corners_ += views[v].left.size() + views[v].right.size();
+    }
+    for (size_t i = 0; i < sheet.size(); ++i) {
+      if (sheet_sigma_ == 0) {
+        if (problem_->HasParameterBlock(sheet_[i].data())) problem_->SetParameterBlockConstant(sheet_[i].data());
+      } else {
+        problem_->AddResidualBlock(
+            new ceres::AutoDiffCostFunction<SheetResidual, 3, 3>(new SheetResidual{sheet[i], &sheet_weight_}), nullptr,
+            sheet_[i].data());
       }
     }
     // Coefficients that the model has not stay 0.
@@ -314,8 +336,10 @@ class JointProblem {
     }
   }
 
-  // Squares alone if scale is 0, otherwise Huber (or Cauchy, which also forgets gross errors).
-  bool solve(double scale, bool cauchy) {
+  // Squares alone if scale is 0, otherwise Huber (or Cauchy, which also forgets gross errors). `corner_sigma` [px]: of
+  // a coordinate in the images, against which the sheet's is weighed.
+  bool solve(double scale, bool cauchy, double corner_sigma, int iterations = 200) {
+    if (sheet_sigma_ > 0) sheet_weight_ = corner_sigma / sheet_sigma_;
     ceres::LossFunction* loss = nullptr;
     if (scale > 0 && cauchy) loss = new ceres::CauchyLoss(scale);
     if (scale > 0 && !cauchy) loss = new ceres::HuberLoss(scale);
@@ -324,7 +348,7 @@ class JointProblem {
     ceres::Solver::Options options;
     options.linear_solver_type = ceres::DENSE_SCHUR;
     options.num_threads = 1;  // the same sums on every machine
-    options.max_num_iterations = 200;
+    options.max_num_iterations = iterations;
     options.function_tolerance = 1e-12;
     options.parameter_tolerance = 1e-12;
     options.gradient_tolerance = 1e-14;
@@ -334,8 +358,12 @@ class JointProblem {
     options.max_trust_region_radius = 1e9;
     ceres::Solver::Summary summary;
     ceres::Solve(options, problem_.get(), &summary);
+    cost_ = summary.final_cost;
     return summary.IsSolutionUsable();
   }
+
+  // Half the sum of squares (under the loss) of the last solution.
+  double cost() const { return cost_; }
 
   // [px] corner - projection of all corners, in the order of views: left, then right.
   std::vector<Vec> residuals() const {
@@ -345,7 +373,7 @@ class JointProblem {
     options.num_threads = 1;
     problem_->Evaluate(options, nullptr, &values, nullptr, nullptr);
     std::vector<Vec> residuals;
-    for (size_t i = 0; i + 1 < values.size(); i += 2) residuals.emplace_back(values[i], values[i + 1]);
+    for (size_t i = 0; i < corners_; ++i) residuals.emplace_back(values[2 * i], values[2 * i + 1]);
     return residuals;
   }
 
@@ -363,6 +391,9 @@ class JointProblem {
     options.parameter_blocks = {const_cast<double*>(left_.data()), const_cast<double*>(right_.data()),
                                 const_cast<double*>(right_from_left_.data())};
     for (const Transform& grid : grids_) options.parameter_blocks.push_back(const_cast<double*>(grid.data()));
+    for (const auto& corner : sheet_) {
+      if (sheet_sigma_ > 0) options.parameter_blocks.push_back(const_cast<double*>(corner.data()));
+    }
     std::vector<double> residuals;
     ceres::CRSMatrix jacobian;
     problem_->Evaluate(options, nullptr, &residuals, nullptr, &jacobian);
@@ -370,7 +401,7 @@ class JointProblem {
     double sum = 0, weights = 0;
     for (int row = 0; row < jacobian.num_rows; ++row) {
       const auto pair = static_cast<size_t>(row) / 2 * 2;
-      const double w = weight({residuals[pair], residuals[pair + 1]});
+      const double w = pair < 2 * corners_ ? weight({residuals[pair], residuals[pair + 1]}) : 1;
       sum += w * residuals[static_cast<size_t>(row)] * residuals[static_cast<size_t>(row)];
       weights += w;
       const int begin = jacobian.rows[static_cast<size_t>(row)], end = jacobian.rows[static_cast<size_t>(row) + 1];
@@ -399,41 +430,48 @@ class JointProblem {
     return covariance.allFinite();
   }
 
-  void result(StereoCalibration& calibration, std::vector<Pose>& left_from_grid) const {
+  void result(StereoCalibration& calibration, std::vector<Pose>& left_from_grid,
+              std::vector<Eigen::Vector3d>& sheet) const {
     set_intrinsics(calibration.left, left_.data());
     set_intrinsics(calibration.right, right_.data());
     calibration.right_from_left = pose_of(right_from_left_.data());
     left_from_grid.clear();
     for (const Transform& grid : grids_) left_from_grid.push_back(pose_of(grid.data()));
+    sheet.clear();
+    for (const auto& corner : sheet_) sheet.emplace_back(corner[0], corner[1], corner[2]);
   }
 
  private:
   template <bool kFisheye>
-  void add_left_as(const Eigen::Vector3d& corner, const Vec& seen, size_t view) {
-    problem_->AddResidualBlock(new ceres::AutoDiffCostFunction<LeftResidual<kFisheye>, 2, kIntrinsics, 6>(
-                                   new LeftResidual<kFisheye>{corner, seen}),
-                               loss_.get(), left_.data(), grids_[view].data());
+  void add_left_as(size_t corner, const Vec& seen, size_t view) {
+    problem_->AddResidualBlock(
+        new ceres::AutoDiffCostFunction<LeftResidual<kFisheye>, 2, kIntrinsics, 6, 3>(new LeftResidual<kFisheye>{seen}),
+        loss_.get(), left_.data(), grids_[view].data(), sheet_[corner].data());
   }
   template <bool kFisheye>
-  void add_right_as(const Eigen::Vector3d& corner, const Vec& seen, size_t view) {
-    problem_->AddResidualBlock(new ceres::AutoDiffCostFunction<RightResidual<kFisheye>, 2, kIntrinsics, 6, 6>(
-                                   new RightResidual<kFisheye>{corner, seen}),
-                               loss_.get(), right_.data(), right_from_left_.data(), grids_[view].data());
+  void add_right_as(size_t corner, const Vec& seen, size_t view) {
+    problem_->AddResidualBlock(new ceres::AutoDiffCostFunction<RightResidual<kFisheye>, 2, kIntrinsics, 6, 6, 3>(
+                                   new RightResidual<kFisheye>{seen}),
+                               loss_.get(), right_.data(), right_from_left_.data(), grids_[view].data(),
+                               sheet_[corner].data());
   }
-  void add_left(const Eigen::Vector3d& corner, const Vec& seen, size_t view) {
+  void add_left(size_t corner, const Vec& seen, size_t view) {
     lens_.distortion == Distortion::equidistant ? add_left_as<true>(corner, seen, view)
                                                 : add_left_as<false>(corner, seen, view);
   }
-  void add_right(const Eigen::Vector3d& corner, const Vec& seen, size_t view) {
+  void add_right(size_t corner, const Vec& seen, size_t view) {
     lens_.distortion == Distortion::equidistant ? add_right_as<true>(corner, seen, view)
                                                 : add_right_as<false>(corner, seen, view);
   }
 
   Lens lens_;
+  double sheet_sigma_ = 0, sheet_weight_ = 0;  // [m] [px/m]
   Intrinsics left_, right_;
   Transform right_from_left_;
   std::vector<Transform> grids_;
-  double scale_ = 0;
+  std::vector<std::array<double, 3>> sheet_;
+  size_t corners_ = 0;  // in all images
+  double scale_ = 0, cost_ = 0;
   std::unique_ptr<ceres::LossFunctionWrapper> loss_;
   std::unique_ptr<ceres::Problem> problem_;
 };
@@ -442,6 +480,45 @@ double median(std::vector<double> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
+}
+
+// [px] of one coordinate of a corner, from the median of the errors: gross ones do not count.
+double corner_sigma(const JointProblem& joint) {
+  std::vector<double> lengths;
+  for (const Vec& r : joint.residuals()) lengths.push_back(r.norm());
+  constexpr double kRayleighMedian = 1.1774;  // of the length of a vector whose coordinates have sigma = 1
+  return std::max(1e-3, median(lengths) / kRayleighMedian);
+}
+
+// The solution in which the sheet's corners have found their places, if it explains the images better than a perfect
+// sheet, otherwise `flat`, which is solved. Better: the errors fall by more than twice of what as many parameters
+// without meaning would take from noise (Akaike's criterion as a ratio of variances).
+std::unique_ptr<JointProblem> with_places_of_corners(std::unique_ptr<JointProblem> flat,
+                                                     const std::vector<TargetView>& views,
+                                                     const std::vector<Eigen::Vector3d>& sheet, const Lens& lens,
+                                                     const CalibrateOptions& options) {
+  StereoCalibration calibration;
+  std::vector<Pose> left_from_grid;
+  std::vector<Eigen::Vector3d> places;
+  flat->result(calibration, left_from_grid, places);
+  Eigen::Vector3d least = sheet.front(), most = sheet.front();
+  for (const Eigen::Vector3d& p : sheet) {
+    least = least.cwiseMin(p);
+    most = most.cwiseMax(p);
+  }
+  const double sigma = corner_sigma(*flat);
+  auto uneven = std::make_unique<JointProblem>(views, sheet, lens, calibration, left_from_grid,
+                                               options.flatness * (most - least).maxCoeff());
+  constexpr int kTrial = 4;  // steps that tell: the start is near, the corners enter almost linearly
+  if (!uneven->solve(options.robust * sigma, false, sigma, kTrial)) return flat;
+  const auto added = static_cast<double>(3 * sheet.size());
+  const double freedom = 2 * static_cast<double>(flat->residuals().size()) - added -
+                         static_cast<double>(2 * (4 + lens.coefficients) + 6 + 6 * static_cast<int>(views.size()));
+  constexpr double kBetter = 2;
+  if (!(freedom > 0) || (flat->cost() - uneven->cost()) / added < kBetter * uneven->cost() / freedom) return flat;
+  const double smaller = corner_sigma(*uneven);
+  if (!uneven->solve(options.robust * smaller, false, smaller)) return flat;
+  return uneven;
 }
 
 void set_parameters(StereoCalibrationResult& result) {
@@ -583,24 +660,20 @@ StereoCalibrationResult calibrate_stereo(const std::vector<TargetView>& views, c
     if (views[v].left.empty()) left_poses[v] = calibration.right_from_left.inverse() * right_poses[v];
   }
 
-  JointProblem joint(views, sheet, lens, calibration, left_poses);
+  auto joint = std::make_unique<JointProblem>(views, sheet, lens, calibration, left_poses, 0.0);
   const auto rms_now = [&] {
     double sum = 0;
-    const std::vector<Vec> residuals = joint.residuals();
+    const std::vector<Vec> residuals = joint->residuals();
     for (const Vec& r : residuals) sum += r.squaredNorm();
     return residuals.empty() ? std::nan("") : rms_of(sum, static_cast<int>(residuals.size()));
   };
   result.start_rms = rms_now();
   bool solved = std::isfinite(result.start_rms);  // not if corners would lie behind a camera
-  if (solved && options.robust > 0) {
-    solved = joint.solve(1.0, true);
-    std::vector<double> lengths;
-    for (const Vec& r : joint.residuals()) lengths.push_back(r.norm());
-    constexpr double kRayleighMedian = 1.1774;  // of the length of a vector whose coordinates have sigma = 1
-    const double sigma = std::max(1e-3, median(lengths) / kRayleighMedian);
-    solved = joint.solve(options.robust * sigma, false) && solved;
-  } else if (solved) {
-    solved = joint.solve(0, false);
+  if (solved) {
+    if (options.robust > 0) solved = joint->solve(1.0, true, 1.0);
+    const double sigma = corner_sigma(*joint);
+    solved = joint->solve(options.robust * sigma, false, sigma) && solved;
+    if (solved && options.flatness > 0) joint = with_places_of_corners(std::move(joint), views, sheet, lens, options);
   }
   result.rms = rms_now();
   constexpr double kWorstRms = 5;  // [px]
@@ -612,7 +685,14 @@ StereoCalibrationResult calibrate_stereo(const std::vector<TargetView>& views, c
                 "see that left and right images belong together and are taken at the same moment, that the target is "
                 "flat and --target describes it, and that the images of no camera are mirrored");
   }
-  joint.result(calibration, result.left_from_grid);
+  joint->result(calibration, result.left_from_grid, result.sheet);
+  for (size_t i = 0; i < sheet.size(); ++i) {
+    const Eigen::Vector3d off = result.sheet[i] - sheet[i];
+    result.sheet_along += off.head<2>().squaredNorm() / static_cast<double>(sheet.size());
+    result.sheet_across += off.z() * off.z() / static_cast<double>(sheet.size());
+  }
+  result.sheet_along = std::sqrt(result.sheet_along);
+  result.sheet_across = std::sqrt(result.sheet_across);
   if (calibration.right_centre_in_left().x() <= 0) {
     return fail(Status::mirrored,
                 fmt::format("the right camera would stand {:.0f} mm left of the left one",
@@ -620,7 +700,7 @@ StereoCalibrationResult calibrate_stereo(const std::vector<TargetView>& views, c
                 "left and right are swapped, or the images (or the target) are mirrored");
   }
 
-  const std::vector<Vec> residuals = joint.residuals();
+  const std::vector<Vec> residuals = joint->residuals();
   double left_sum = 0, right_sum = 0;
   int left_count = 0, right_count = 0;
   size_t at = 0;
@@ -645,7 +725,7 @@ StereoCalibrationResult calibrate_stereo(const std::vector<TargetView>& views, c
   }
   result.left_rms = rms_of(left_sum, left_count);
   result.right_rms = rms_of(right_sum, right_count);
-  if (!joint.covariance(result.covariance, result.sigma)) {
+  if (!joint->covariance(result.covariance, result.sigma)) {
     return fail(Status::no_fit, "the images do not determine all parameters of the cameras",
                 "tilt the target in different ways and fill the whole image with it, or choose a lens model with fewer "
                 "coefficients (--calibrate.distortion radial)");

@@ -201,13 +201,15 @@ inline std::vector<Pose> target_poses(const calibrate::Target& target, const Ste
   return poses;
 }
 
-// What both cameras would measure, with Gaussian noise [px] on each coordinate.
+// What both cameras would measure, with Gaussian noise [px] on each coordinate. `places`: where the sheet's corners
+// really are, if not where they should be.
 inline std::vector<calibrate::TargetView> target_views(const calibrate::Target& target, const StereoCalibration& rig,
-                                                       const std::vector<Pose>& poses, double noise, unsigned seed) {
+                                                       const std::vector<Pose>& poses, double noise, unsigned seed,
+                                                       const std::vector<Eigen::Vector3d>& places = {}) {
   std::mt19937 random(seed);
   std::normal_distribution<double> normal(0, 1);
   std::vector<calibrate::TargetView> views;
-  const std::vector<Eigen::Vector3d> points = calibrate::target_points(target);
+  const std::vector<Eigen::Vector3d> points = places.empty() ? calibrate::target_points(target) : places;
   for (const Pose& pose : poses) {
     calibrate::TargetView view;
     view.name = "view " + std::to_string(views.size());

@@ -1,5 +1,6 @@
 // Calibration of a stereo rig from corners of a target (thesis 2.3): each camera alone by Zhang's method, then both
-// cameras, the transform between them and all poses of the target together (2.8).
+// cameras, the transform between them and all poses of the target together (2.8). A real target is neither flat nor
+// exactly printed: where the images show it, the places of its corners are estimated along (not in the thesis).
 #pragma once
 
 #include <Eigen/Core>
@@ -59,8 +60,11 @@ struct StereoCalibrationResult {
   std::vector<ViewErrors> errors;               // of each view
   double start_rms = 0;                         // [px] before (2.8): cameras calibrated alone, rig of one pair
   double rms = 0, left_rms = 0, right_rms = 0;  // [px] over all corners, afterwards
-  double sigma = 0;                             // [px] standard deviation of one coordinate of a corner
-  Eigen::MatrixXd covariance;                   // of parameters_of(calibration)
+  std::vector<Eigen::Vector3d> sheet;           // [m] where the corners are on the sheet, by number
+  double sheet_along = 0,
+         sheet_across = 0;     // [m] RMS of how far that is beside target_points; 0 = the sheet is perfect
+  double sigma = 0;            // [px] standard deviation of one coordinate of a corner
+  Eigen::MatrixXd covariance;  // of parameters_of(calibration)
   std::vector<Parameter> parameters;
   int pairs = 0, left_views = 0, right_views = 0, corners = 0;
 };

@@ -79,7 +79,7 @@ Side across(const MapRaster& raster, bool along_y, double side) {
   for (double along = -half; along <= half; along += raster.cell, ++lines) {
     float darkest = -1;
     double offset = 0;
-    for (double off = -kReach; off <= kReach; off += raster.cell) {
+    for (double off = -kReach + raster.cell / 2; off < kReach; off += raster.cell) {  // the middles of the cells
       const float value = along_y ? at(raster, side + off, along) : at(raster, along, side + off);
       result.thickness += value;
       if (value > darkest) darkest = value, offset = off;

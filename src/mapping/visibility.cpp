@@ -11,6 +11,7 @@
 namespace iris::mapping {
 namespace {
 
+constexpr auto kFree = static_cast<uint8_t>(MapState::free), kOccupied = static_cast<uint8_t>(MapState::occupied);
 constexpr int kSide = FlogMap::kTileCells;
 // Occupied cells next to the cell in question do not hide it: a surface looked at from the side would hide itself.
 constexpr int kNeighbour = 1;
@@ -116,7 +117,6 @@ class Sight {
 // What hides: the occupied cells, and what lies between two occupied ones above each other. Walls stand upright; where
 // their texture repeats itself, they are found in patches, and wrong matches look through the holes.
 TileStates obstacles_of(const FlogMap& map, const TileStates& states) {
-  constexpr auto kOccupied = static_cast<uint8_t>(MapState::occupied);
   constexpr size_t kSlice = static_cast<size_t>(kSide) * kSide;
   TileStates obstacles = states;
   parallel_chunks(0, static_cast<int>(states.size()), 1, [&](int begin, int end) {
@@ -141,7 +141,6 @@ TileStates obstacles_of(const FlogMap& map, const TileStates& states) {
 
 // All occupied cells wider by `cells` along x and y, where there are tiles.
 TileStates widened(const FlogMap& map, const TileStates& obstacles, int cells) {
-  constexpr auto kOccupied = static_cast<uint8_t>(MapState::occupied);
   TileStates result = obstacles;
   // One axis after the other. Each tile takes from itself and from its neighbours.
   for (const bool along_x : {true, false}) {
@@ -228,6 +227,12 @@ void forget_unseen(const FlogMap& map, int min_views, TileStates& states) {
           last = v;
         }
         if (!found) seen[index][i] = static_cast<uint8_t>(MapState::unknown);
+      }
+      // Sight that ends above an obstacle ends on it: of a table that is looked at from the side, the cells in one
+      // slice hide those in the slice below, and nothing but the free space above would remain of these.
+      constexpr size_t kSlice = static_cast<size_t>(kSide) * kSide;
+      for (size_t i = 0; i + kSlice < states[index].size(); ++i) {
+        if (states[index][i] == kOccupied && seen[index][i + kSlice] == kFree) seen[index][i] = kOccupied;
       }
     }
   });

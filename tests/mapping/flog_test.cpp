@@ -198,6 +198,39 @@ TEST(Rasterise, KnowsOnlyWhatAViewCanHaveSeen) {
   EXPECT_EQ(state_at(5, 60), MapState::free);
 }
 
+// A flat surface seen from above, with a ridge on it that hides what follows: three cells on, sight passes over the
+// ridge, but not down to the surface.
+TEST(Rasterise, SightThatEndsAboveAnObstacleEndsOnIt) {
+  constexpr int kSide = FlogMap::kTileCells, kSlice = kSide * kSide;
+  FlogMap map;
+  map.cell_size = 0.1;
+  map.layer_bounds = {0, 0.3};
+  map.slices = 3;
+  map.full_rays = 1;
+  map.camera = {.f = 100, .cx = 199.5, .cy = 199.5, .baseline = 0.1, .width = 400, .height = 400};
+  map.viewpoints = {level_camera({0.05, 3.25, 1.05}, 0)};
+  map.tiles_x = map.tiles_y = 1;
+  map.tiles.push_back(std::make_unique<FlogMap::Tile>());
+  map.tiles[0]->viewpoints = {0};
+  const FlogCell occupied{0, FlogCell::kOne, 5, 2}, free{FlogCell::kOne, 0, 5, 2};
+  for (int i = 0; i < 3 * kSlice; ++i) {
+    const int x = i % kSide, z = i / kSlice;
+    const bool ridge = z == 1 && x >= 30 && x < 34;
+    map.tiles[0]->cells.push_back(z == 0 || ridge ? occupied : free);
+  }
+  const auto state_at = [&](int x, int y) {
+    const MapRaster raster = rasterise(map);
+    const int column = x - static_cast<int>(std::lround(raster.origin_x / raster.cell));
+    const int row = raster.height - 1 - y + static_cast<int>(std::lround(raster.origin_y / raster.cell));
+    return static_cast<MapState>(raster.state(row, column));
+  };
+  EXPECT_EQ(state_at(20, 32), MapState::occupied);
+  EXPECT_EQ(state_at(36, 32), MapState::occupied);
+  // The surface is not seen itself: nothing is known where the cell above it is not known to be free.
+  for (int z = 1; z < 3; ++z) map.tiles[0]->cells[static_cast<size_t>(z * kSlice + 32 * kSide + 36)] = {};
+  EXPECT_EQ(state_at(36, 32), MapState::unknown);
+}
+
 TEST(FlogBuilder, GivesTheSameBitsForAnyNumberOfThreads) {
   const BoxRoom room;
   const auto views = walk_around(room, 0.1);

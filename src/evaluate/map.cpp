@@ -199,17 +199,24 @@ MapErrors evaluate_map(const GridMap& estimate, const GridMap& truth, const Pose
     for (const cv::Point out : {cv::Point(1, 0), cv::Point(-1, 0), cv::Point(0, 1), cv::Point(0, -1)}) {
       if (truth.at(cell + out) != Cell::free) continue;
       const auto is_occupied = [&](cv::Point at) { return estimate.at(registered.to_estimate(at)) == Cell::occupied; };
-      int thickness = is_occupied(cell);
-      const auto count_towards = [&](cv::Point step, Cell through) {
-        for (int k = 1; k <= MapErrors::kAcross && truth.at(cell + k * step) == through; ++k) {
-          thickness += is_occupied(cell + k * step);
+      // Occupied cells of the map along the line through cells of one kind; `end`: where it ends.
+      const auto count_towards = [&](cv::Point step, Cell through, cv::Point& end) {
+        int count = 0;
+        end = cell + step;
+        for (int k = 1; k <= MapErrors::kAcross && truth.at(end) == through; ++k, end += step) {
+          count += is_occupied(end);
         }
+        return count;
       };
-      count_towards(out, Cell::free);
-      count_towards(-out, Cell::unknown);
-      if (thickness == 0) continue;
-      thicknesses.push_back(thickness);
-      if (is_bare_wall(truth, cell, out)) wall_thicknesses.push_back(thickness);
+      cv::Point before_end, behind_end;
+      const int before = is_occupied(cell) + count_towards(out, Cell::free, before_end);
+      const int behind = count_towards(-out, Cell::unknown, behind_end);
+      if (before + behind > 0) thicknesses.push_back(before + behind);
+      if (!is_bare_wall(truth, cell, out)) continue;
+      const Cell other = truth.at(behind_end);
+      const bool is_inside = other == Cell::occupied || other == Cell::occupied_uncertain;
+      const int thickness = before + (is_inside ? 0 : behind);
+      if (thickness > 0) wall_thicknesses.push_back(thickness);
     }
   });
   errors.faces = thickness_of(std::move(thicknesses));

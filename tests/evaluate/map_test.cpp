@@ -118,6 +118,13 @@ TEST(Map, ThicknessOfBareWallsLeavesOutWhatStandsBeforeThem) {
   map[6] = ".....#........";
   EXPECT_EQ(walls(map).median, 2);
   EXPECT_EQ(walls(map).most, 3);
+  // The inside of a wall is full, whatever the map says of it.
+  rows.push_back("##############");
+  map.push_back("##############");
+  EXPECT_EQ(walls(map).median, 1);
+  EXPECT_EQ(walls(map).most, 2);
+  rows.pop_back();
+  map.pop_back();
   // If it stands there in truth, the faces beside it are not bare any more: 5 columns to the right are too short.
   rows[2] = "....#.........";
   EXPECT_EQ(walls(map).faces, 14 - 5 - 2 * MapErrors::kBeside);

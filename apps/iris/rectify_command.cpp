@@ -89,7 +89,9 @@ int check_calibration(Rectify& state, const session::Session& session) {
     return kIncomplete;
   }
   if (check.fits) {
-    fmt::print("the calibration fits this recording\n");
+    fmt::print(
+        "the calibration fits this recording, as far as rows tell: a turn about the vertical axis, wrong focal lengths "
+        "and sheared images shift points along their rows only; 'iris run' estimates these (its line 'calibration')\n");
   } else {
     fmt::print("the calibration does not fit this recording any more (tolerance {:g} px): {}\n", options.tolerance,
                state.refined.empty() ? "calibrate again, or let --refine FILE turn the right camera" : "it is refined");

@@ -3,6 +3,7 @@
 #include <ceres/loss_function.h>
 #include <ceres/ordered_groups.h>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
@@ -71,7 +72,8 @@ ObservationResidual observe(const RectifiedCamera& camera, const Pose& world_fro
 namespace {
 
 constexpr int kCalibration = 3;
-constexpr double kLeastRoll = 1e-3;       // [rad] smaller ones change disparities by a quarter of a pixel at most
+constexpr double kLeastSlope = 1e-3;      // smaller ones change disparities by a quarter of a pixel at most
+constexpr double kMostSlope = 0.05;       // recordings that do not tell this one from none say nothing of it
 constexpr double kWidth = 3;              // [standard deviations] of Cauchy's loss
 constexpr double kScaleOfMedian = 2.366;  // median of the chi-square distribution with three degrees of freedom
 
@@ -350,15 +352,35 @@ class Adjuster {
     return minimise(problem, options, watch, max_iterations, iterations);
   }
 
-  // Standard deviations of all calibration parameters together, in units of the observations' (linearised, all free).
-  Eigen::Array3d calibration_sigma(const State& state) {
+  // Standard deviations of all calibration parameters together (linearised, all free): what the noise of the
+  // observations brings, or what parts of the recording disagree by, whichever is more. The latter holds whatever is
+  // wrong with the images: with s the gradient that a part adds, points and poses eliminated, and H the Hessian, it is
+  // H^-1 (sum of s s') H^-1. `observation_sigma`: [px] of an image coordinate.
+  Eigen::Array3d calibration_sigma(const State& state, double observation_sigma) {
     linearise(state);
     if (!system_.factorise(1e-12)) return Eigen::Array3d::Constant(std::numeric_limits<double>::infinity());
     const Eigen::MatrixXd y = system_.solve(coupling_);
     const Eigen::Matrix3d reduced = calibration_hessian_ - coupling_.transpose() * y;
-    const Eigen::Matrix3d covariance = reduced.inverse();
-    return (covariance.diagonal().array() > 0)
-        .select(covariance.diagonal().array().abs().sqrt(), std::numeric_limits<double>::infinity());
+    const Eigen::Matrix3d inverse = reduced.inverse();
+
+    constexpr int kParts = 8;
+    Eigen::Matrix<double, 3, kParts> parts = Eigen::Matrix<double, 3, kParts>::Zero();
+    for (size_t g = 0; g < groups_.size(); ++g) {
+      const Group& group = groups_[g];
+      const Eigen::VectorXd& gradient = gradients_[g];
+      // Parts of the recording, of equally many points.
+      auto part = parts.col(static_cast<Eigen::Index>(group.begin * kParts / landmarks_.size()));
+      part += gradient.tail<kCalibration>();
+      for (size_t v = 0; v < group.views.size(); ++v) {
+        const int u = unknown_of_view_[group.views[v]];
+        if (u >= 0) part -= y.middleRows<6>(6 * u).transpose() * gradient.segment<6>(6 * static_cast<Eigen::Index>(v));
+      }
+    }
+    const Eigen::Matrix3d disagreement =
+        inverse * (parts * parts.transpose() * kParts / (kParts - 1.0)) * inverse.transpose();
+    const Eigen::Array3d variance =
+        (observation_sigma * observation_sigma * inverse.diagonal().array()).max(disagreement.diagonal().array());
+    return (inverse.diagonal().array() > 0).select(variance.abs().sqrt(), std::numeric_limits<double>::infinity());
   }
 
   // Marginal covariances of the unknown poses. observation_variance: [px^2] of an image coordinate. free: parameters of
@@ -456,8 +478,9 @@ class Adjuster {
   // follow from.
   void linearise(const State& state) {
     std::vector<Eigen::MatrixXd> parts(groups_.size());
+    gradients_.resize(groups_.size());
     parallel_chunks(0, static_cast<int>(groups_.size()), 1, [&](int begin, int end) {
-      for (int g = begin; g < end; ++g) parts[g] = part_of(groups_[g], state);
+      for (int g = begin; g < end; ++g) parts[g] = part_of(groups_[g], state, gradients_[g]);
     });
     system_.set_zero();
     coupling_ = Eigen::MatrixXd::Zero(6 * unknowns_, kCalibration);
@@ -491,16 +514,18 @@ class Adjuster {
     }
   }
 
-  // A group's part of it: its views, then the calibration.
-  Eigen::MatrixXd part_of(const Group& group, const State& state) const {
+  // A group's part of it: its views, then the calibration; and of the gradient.
+  Eigen::MatrixXd part_of(const Group& group, const State& state, Eigen::VectorXd& gradient) const {
     const int last = 6 * static_cast<int>(group.views.size());
     Eigen::MatrixXd part = Eigen::MatrixXd::Zero(last + kCalibration, last + kCalibration);
+    gradient = Eigen::VectorXd::Zero(last + kCalibration);
     std::vector<int> places;
     std::vector<Eigen::Matrix<double, 6, 3>> by_point;  // of each observation: pose by point
     for (int l = group.begin; l < group.end; ++l) {
       places.clear();
       by_point.clear();
       Eigen::Matrix3d point_hessian = Eigen::Matrix3d::Zero(), calibration_by_point = Eigen::Matrix3d::Zero();
+      Eigen::Vector3d point_gradient = Eigen::Vector3d::Zero();
       for (const Observation& seen : landmarks_[l].observations) {
         const ObservationResidual at =
             observe(camera_, state.poses[seen.view], state.points[l], state.calibration, seen.seen);
@@ -514,6 +539,9 @@ class Adjuster {
         part.block<6, 3>(place, last).noalias() += pose * at.by_calibration;
         part.block<3, 3>(last, last).noalias() += calibration * at.by_calibration;
         calibration_by_point.noalias() += calibration * at.by_point;
+        point_gradient.noalias() += weight * at.by_point.transpose() * at.residual;
+        gradient.segment<6>(place).noalias() += pose * at.residual;
+        gradient.tail<kCalibration>().noalias() += calibration * at.residual;
         places.push_back(place);
         by_point.push_back(pose * at.by_point);
       }
@@ -521,11 +549,13 @@ class Adjuster {
       for (size_t a = 0; a < places.size(); ++a) {
         const Eigen::Matrix<double, 6, 3> reduced = by_point[a] * inverse;
         part.block<6, 3>(places[a], last).noalias() -= reduced * calibration_by_point.transpose();
+        gradient.segment<6>(places[a]).noalias() -= reduced * point_gradient;
         for (size_t b = a; b < places.size(); ++b) {
           part.block<6, 6>(places[a], places[b]).noalias() -= reduced * by_point[b].transpose();
         }
       }
       part.block<3, 3>(last, last).noalias() -= calibration_by_point * inverse * calibration_by_point.transpose();
+      gradient.tail<kCalibration>().noalias() -= calibration_by_point * inverse * point_gradient;
     }
     return part;
   }
@@ -539,6 +569,7 @@ class Adjuster {
   BlockCholesky<6> system_;
   Eigen::MatrixXd coupling_;
   Eigen::Matrix3d calibration_hessian_;
+  std::vector<Eigen::VectorXd> gradients_;  // of each group: its views, then the calibration; points eliminated
   double times_ = 1;
   const std::function<bool()>& stopped_;  // may be empty
   bool odometry_everywhere_ = true;
@@ -611,17 +642,65 @@ std::vector<Bridge> bridges_between(const Views& views, const std::vector<Landma
   return bridges;
 }
 
-std::string words_of(const CalibrationCorrection& c) {
-  const auto verdict = [](const Estimated& e) { return e.applied ? ", corrected" : (e.off ? ", not corrected" : ""); };
+// [px] of all observations.
+double median_disparity(const std::vector<Landmark>& landmarks) {
+  std::vector<double> disparities;
+  for (const Landmark& landmark : landmarks) {
+    for (const Observation& at : landmark.observations) disparities.push_back(at.seen.x() - at.seen.z());
+  }
+  const auto middle = disparities.begin() + static_cast<std::ptrdiff_t>(disparities.size() / 2);
+  std::nth_element(disparities.begin(), middle, disparities.end());
+  return *middle;
+}
+
+// What is off, about which axis, and what it does to distances; of the rest the numbers alone. `disparity`: [px] that
+// of a usual point.
+std::string words_of(const CalibrationCorrection& c, const RectifiedCamera& camera, double disparity) {
   constexpr double kDegrees = 180 / M_PI;
-  return fmt::format(
-      "disparity offset {:+.2f} ± {:.2f} px{}; focal length {:+.2f} ± {:.2f} %{}; right camera turned by {:+.3f} ± "
-      "{:.3f} deg about its axis{}",
-      c.disparity_offset.value, c.disparity_offset.sigma, verdict(c.disparity_offset), 100 * c.focal.value,
-      100 * c.focal.sigma, verdict(c.focal), kDegrees * c.roll.value, kDegrees * c.roll.sigma,
-      (c.disparity_offset.off && !c.disparity_offset.applied) || (c.focal.off && !c.focal.applied) || c.roll.off
-          ? ": calibrate again"
-          : "");
+  const double depth = camera.f * camera.baseline / disparity;
+  std::vector<std::string> parts;
+  bool again = false;
+  if (const Estimated& e = c.disparity_offset; e.told) {
+    std::string part = fmt::format("disparity offset {:+.2f} ± {:.2f} px", e.value, e.sigma);
+    if (e.applied) {
+      part += ", corrected";
+    } else if (e.off) {
+      part += fmt::format(
+          ", not corrected: as if the right camera were turned by {:.2f} deg about the vertical axis, distances of "
+          "{:.1f} "
+          "m wrong by {:.1f} %",
+          kDegrees * std::abs(e.value) / camera.f, depth, 100 * std::abs(e.value) / disparity);
+      again = true;
+    }
+    parts.push_back(part);
+  }
+  if (const Estimated& e = c.focal; e.told) {
+    std::string part = fmt::format("focal length {:+.2f} ± {:.2f} %", 100 * e.value, 100 * e.sigma);
+    if (e.applied) {
+      part += ", corrected";
+    } else if (e.off) {
+      part += fmt::format(", not corrected: distances wrong by {:.1f} %", 100 * std::abs(e.value));
+      again = true;
+    }
+    parts.push_back(part);
+  }
+  if (const Estimated& e = c.slope; e.told) {
+    const double border = camera.height / 2.0;
+    std::string part =
+        fmt::format("{:+.2f} ± {:.2f} px more at the image's lower border", e.value * border, e.sigma * border);
+    if (e.off) {
+      part += fmt::format(
+          ", as much less at the upper one: distances of {:.1f} m there wrong by {:.0f} %. If 'iris rectify "
+          "--check' finds rows {:.1f} px off at the image's sides, the right camera is turned by {:.2f} deg about its "
+          "optical axis; if not, the images were rectified with lenses that are not theirs",
+          depth, 100 * std::abs(e.value) * border / disparity, std::abs(e.value) * camera.width / 2,
+          kDegrees * std::abs(e.value));
+      again = true;
+    }
+    parts.push_back(part);
+  }
+  if (parts.empty()) return "this recording does not tell whether it fits";
+  return fmt::format("{}{}", fmt::join(parts, "; "), again ? ": calibrate again" : "");
 }
 
 // The poses of all nodes from those of the views, see BundleResult.
@@ -730,16 +809,18 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
   adjuster.use_odometry(false);
   adjuster.run(free_state, Eigen::Array3d::Ones(), options.max_iterations, result.iterations);
   const Eigen::Array3d calibration_sigma =
-      times * few * robust_sigma(adjuster.squares(free_state)) * adjuster.calibration_sigma(free_state);
+      adjuster.calibration_sigma(free_state, times * few * robust_sigma(adjuster.squares(free_state)));
   Estimated* const estimates[] = {&result.calibration.disparity_offset, &result.calibration.focal,
-                                  &result.calibration.roll};
-  const double least[] = {options.min_offset, options.min_focal, kLeastRoll};
+                                  &result.calibration.slope};
+  const double least[] = {options.min_offset, options.min_focal, kLeastSlope};
   const double most[] = {options.max_offset, options.max_focal, 0};
-  bool correctable = options.calibrate;  // one that cannot be corrected would be taken for the others
+  constexpr double kGross[] = {3, 0.05, kMostSlope};  // [px], parts: what a recording has to see to tell anything
+  bool correctable = options.calibrate;               // one that cannot be corrected would be taken for the others
   for (int k = 0; k < kCalibration; ++k) {
     const double value = free_state.calibration(k), sigma = calibration_sigma(k);
-    const bool off = std::abs(value) > 3 * sigma && std::abs(value) > least[k];
-    *estimates[k] = {.value = value, .sigma = sigma, .off = off};
+    const bool told = 3 * sigma < kGross[k];
+    const bool off = told && std::abs(value) > 3 * sigma && std::abs(value) > least[k];
+    *estimates[k] = {.value = value, .sigma = sigma, .told = told, .off = off};
     correctable = correctable && (!off || std::abs(value) <= most[k]);
   }
   Eigen::Array3d free = none;
@@ -756,14 +837,14 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
   for (int k = 0; k < kCalibration; ++k) {
     if (free(k) != 0) estimates[k]->value = state.calibration(k);
   }
-  result.calibration.words = words_of(result.calibration);
+  result.calibration.words = words_of(result.calibration, camera, median_disparity(landmarks));
   result.camera.disparity_offset += state.calibration(0);
   result.camera.f *= 1 + state.calibration(1);
   result.rms_after = robust_sigma(adjuster.squares(state));
 
   const std::vector<Matrix6d> of_unknowns =
       adjuster.covariances(state, std::pow(times * few * result.rms_after, 2), free,
-                           Eigen::Array3d(options.min_offset, options.min_focal, kLeastRoll));
+                           Eigen::Array3d(options.min_offset, options.min_focal, kLeastSlope));
   std::vector<Matrix6d> covariances;
   for (const int u : unknown_of_view) covariances.push_back(u < 0 ? Matrix6d::Zero() : of_unknowns[u]);
   spread_over_nodes(nodes, views, node_of_view, state.poses, covariances, result);

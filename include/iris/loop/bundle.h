@@ -35,6 +35,7 @@ struct BundleOptions {
 // An estimate with its standard deviation.
 struct Estimated {
   double value = 0, sigma = 0;
+  bool told = true;      // the recording tells it: sigma is small enough to see a gross error
   bool off = false;      // significantly, and by more than matching alone may bring
   bool applied = false;  // corrected
 };
@@ -44,9 +45,11 @@ struct Estimated {
 struct CalibrationCorrection {
   Estimated disparity_offset;  // [px] to be added to measured disparities (RectifiedCamera::disparity_offset)
   Estimated focal;             // the focal length is larger by this part
-  Estimated roll;              // [rad] of the right camera about the optical axis: disparity grows by roll * (y - cy).
-                               // Never applied, since all disparities would change: calibrate again
-  std::string words;           // for people; empty: too few views to tell
+  Estimated slope;    // slope * (y - cy) is to be added as well: [rad] a turn of the right camera about its optical
+                      // axis, which tilts its rows as well, or a shear that rectification without knowledge
+                      // of the lenses leaves, which does not. Never applied, since all disparities would
+                      // change: calibrate again
+  std::string words;  // for people; empty: too few views to tell
 };
 
 struct BundleResult {
@@ -76,7 +79,7 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
                     const std::function<bool()>& stopped = {});
 
 // One observation: residual (x left, sqrt(2) y, x right) [px], predicted less seen, and its derivatives. `seen`:
-// reconstruct::image_coordinates of the measured point. calibration: disparity offset [px], focal part, roll [rad].
+// reconstruct::image_coordinates of the measured point. calibration: disparity offset [px], focal part, slope.
 struct ObservationResidual {
   bool valid = false;  // the point is before the camera
   Eigen::Vector3d residual = Eigen::Vector3d::Zero();

@@ -19,6 +19,7 @@
 #include "block_cholesky.h"
 #include "iris/core/error.h"
 #include "iris/core/parallel.h"
+#include "iris/loop/candidates.h"
 #include "iris/loop/pose_graph.h"
 #include "iris/motion/corner_disparity.h"
 #include "iris/motion/correspondences.h"
@@ -33,6 +34,9 @@ void BundleOptions::declare(OptionSet& set) {
   set.add("bundle_window", window, "stored views", 1, 100,
           "bundle adjustment looks for the corners of a view in so many later ones; more ties the path together better "
           "and takes longer");
+  set.add("bundle_partners", partners, "stored views", 0, 1000,
+          "and in so many others that see the same by the path with its loops closed, wherever they are along it; they "
+          "find what no loop joins");
   set.add("bundle_points", points, "", 20, 4000, "most points a view in bundle adjustment");
   set.add("calibrate", calibrate,
           "correct the disparity offset and the focal length when bundle adjustment shows that they are off");
@@ -76,6 +80,8 @@ constexpr double kLeastSlope = 1e-3;      // smaller ones change disparities by 
 constexpr double kMostSlope = 0.05;       // recordings that do not tell this one from none say nothing of it
 constexpr double kWidth = 3;              // [standard deviations] of Cauchy's loss
 constexpr double kScaleOfMedian = 2.366;  // median of the chi-square distribution with three degrees of freedom
+constexpr double kMedianOfTwo = 1.386;    // with two
+constexpr double kMedianOfOne = 0.455;    // and with one
 
 struct Observation {
   int view = 0;
@@ -87,6 +93,26 @@ struct Landmark {
   std::vector<Observation> observations;
   Eigen::Vector3d point;  // in the world
 };
+
+// Standard deviations [px] of a position in the left image, in each direction, and of a disparity. They come from
+// different measurements: the position from tracking the corner's surroundings, the disparity from matching the images.
+struct Noise {
+  double left = 1, disparity = 1;
+};
+
+// The residual in units of its standard deviations: x left, y, disparity; and its derivatives.
+ObservationResidual whitened(ObservationResidual at, const Noise& noise) {
+  const auto whiten = [&](auto& rows) {
+    rows.row(2) = (rows.row(0) - rows.row(2)).eval() / noise.disparity;
+    rows.row(0) /= noise.left;
+    rows.row(1) *= M_SQRT1_2 / noise.left;
+  };
+  whiten(at.residual);
+  whiten(at.by_point);
+  whiten(at.by_pose);
+  whiten(at.by_calibration);
+  return at;
+}
 
 // A landmark as a view sees it.
 struct Seen {
@@ -129,9 +155,63 @@ struct Views {
   std::vector<std::vector<std::pair<int, Pose>>> loops;  // of each view: earlier ones and earlier_from_view
 };
 
+// What predicts whether a view sees the same as others, and where that lies.
+struct Sight {
+  ViewSketch sketch;
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  // of what it sees [m], in the world
+  double radius = 0;                                 // RMS distance from there [m]
+};
+
+Sight sight_of(ViewSketch sketch, const Pose& world_from_cam) {
+  Sight sight{.sketch = std::move(sketch)};
+  const auto& points = sight.sketch.points_in_cam;
+  if (points.empty()) return sight;
+  const auto count = static_cast<double>(points.size());
+  for (const Eigen::Vector3f& p : points) sight.centre += p.cast<double>() / count;
+  double square = 0;
+  for (const Eigen::Vector3f& p : points) square += (p.cast<double>() - sight.centre).squaredNorm() / count;
+  sight.radius = std::sqrt(square);
+  sight.centre = world_from_cam * sight.centre;
+  return sight;
+}
+
+// Views before the window of view k that see the same by the poses as they are, those that share most first; none is
+// a loop, or next to a better one.
+std::vector<int> partners_of(int k, const std::vector<Sight>& sights, const Views& views, const RectifiedCamera& camera,
+                             const BundleOptions& options) {
+  constexpr double kLeastOverlap = 0.05;  // a few corners that are seen again tell already
+  constexpr int kMost = 400;              // of views near by are asked, evenly
+  std::vector<int> near;
+  for (int e = 0; e < k - options.window && options.partners > 0; ++e) {
+    const double reach = 2 * (sights[e].radius + sights[k].radius);
+    if (views.submaps[e] != views.submaps[k] || sights[e].sketch.points_in_cam.empty()) continue;
+    if ((sights[e].centre - sights[k].centre).squaredNorm() < reach * reach) near.push_back(e);
+  }
+  const int count = std::min(static_cast<int>(near.size()), kMost);
+  std::vector<std::pair<double, int>> overlaps(static_cast<size_t>(count));
+  parallel_chunks(0, count, 16, [&](int begin, int end) {
+    for (int n = begin; n < end; ++n) {
+      const int e = near[n * near.size() / count];
+      const RelativePose relative{.i_from_j = views.poses[e].inverse() * views.poses[k]};
+      overlaps[n] = {-expected_overlap(sights[e].sketch, sights[k].sketch, relative, camera), e};
+    }
+  });
+  std::sort(overlaps.begin(), overlaps.end());
+  std::vector<int> chosen;
+  for (const auto& [overlap, e] : overlaps) {
+    if (static_cast<int>(chosen.size()) == options.partners || -overlap < kLeastOverlap) break;
+    const auto beside = [e = e](int other) { return std::abs(other - e) <= 1; };
+    const auto is_loop = [e = e](const auto& loop) { return loop.first == e; };
+    if (std::any_of(chosen.begin(), chosen.end(), beside)) continue;
+    if (std::none_of(views.loops[k].begin(), views.loops[k].end(), is_loop)) chosen.push_back(e);
+  }
+  return chosen;
+}
+
 // Landmarks and where they are seen. Each corner that is not yet a landmark becomes one; it is looked for where the
-// poses predict it in the next views, and what a view sees is looked for in the later ends of its loops. Always from
-// the landmark's own surroundings, or those of the loop's view: positions do not drift from view to view.
+// poses predict it in the next views, and what a view sees is looked for in the later ends of its loops and in its
+// later partners. Always from the landmark's own surroundings, or those of that view: positions do not drift from view
+// to view.
 std::vector<Landmark> find_landmarks(const Views& views, const std::function<StereoView(int)>& view,
                                      const RectifiedCamera& camera, const BundleOptions& options,
                                      motion::ScsOptions scs, const std::function<bool()>& stopped) {
@@ -144,6 +224,7 @@ std::vector<Landmark> find_landmarks(const Views& views, const std::function<Ste
   std::vector<std::vector<Seen>> seen(static_cast<size_t>(count));
   std::deque<motion::ViewFeatures> recent;  // of the last options.window views, and those of the block from `k` on
   int first_recent = 0;
+  std::vector<Sight> sights;
   for (int k = 0; k < count; ++k) {
     if (k % kBlock == 0) {
       if (stopped && stopped()) throw Interrupted();
@@ -162,13 +243,17 @@ std::vector<Landmark> find_landmarks(const Views& views, const std::function<Ste
     struct Source {
       int view = 0;
       Pose source_from_current;
-      bool loop = false;
       std::vector<Seen> wanted;
       std::vector<motion::Correspondence> found;
     };
     std::vector<Source> sources;
     for (const auto& [earlier, earlier_from_current] : views.loops[k]) {
-      sources.push_back({.view = earlier, .source_from_current = earlier_from_current, .loop = true});
+      sources.push_back({.view = earlier, .source_from_current = earlier_from_current});
+      sources.back().wanted = seen[earlier];
+    }
+    sights.push_back(sight_of(sketch(views.frames[k], current, camera), views.poses[k]));
+    for (const int earlier : partners_of(k, sights, views, camera, options)) {
+      sources.push_back({.view = earlier, .source_from_current = views.poses[earlier].inverse() * views.poses[k]});
       sources.back().wanted = seen[earlier];
     }
     for (int earlier = k - 1; earlier >= std::max(0, k - options.window); --earlier) {
@@ -251,12 +336,15 @@ struct State {
 // An observation by the pose of its view, its point and the calibration.
 class ObservationCost final : public ceres::SizedCostFunction<3, kPoseNumbers, 3, kCalibration> {
  public:
-  ObservationCost(const RectifiedCamera& camera, const Eigen::Vector3d& seen) : camera_(camera), seen_(seen) {}
+  ObservationCost(const RectifiedCamera& camera, const Eigen::Vector3d& seen, const Noise& noise)
+      : camera_(camera), seen_(seen), noise_(noise) {}
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
     const Pose world_from_cam = pose_at(parameters[0]);
-    const ObservationResidual at = observe(camera_, world_from_cam, Eigen::Map<const Eigen::Vector3d>(parameters[1]),
-                                           Eigen::Map<const Eigen::Vector3d>(parameters[2]), seen_);
+    const ObservationResidual at =
+        whitened(observe(camera_, world_from_cam, Eigen::Map<const Eigen::Vector3d>(parameters[1]),
+                         Eigen::Map<const Eigen::Vector3d>(parameters[2]), seen_),
+                 noise_);
     if (!at.valid) return false;
     Eigen::Map<Eigen::Vector3d>{residuals} = at.residual;
     if (!jacobians) return true;
@@ -273,6 +361,7 @@ class ObservationCost final : public ceres::SizedCostFunction<3, kPoseNumbers, 3
  private:
   const RectifiedCamera& camera_;
   Eigen::Vector3d seen_;
+  Noise noise_;
 };
 
 // The landmarks of one anchor: the unit of parallel work. Their part of the reduced system is small and dense.
@@ -282,6 +371,12 @@ struct Group {
   std::vector<std::pair<int, int>> pairs;  // of places in `views`, that see a landmark together
   std::vector<int> pair_slots;             // of these in the reduced matrix
 };
+
+double median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
 
 class Adjuster {
  public:
@@ -297,8 +392,8 @@ class Adjuster {
         times_(times),
         stopped_(stopped) {}
 
-  // How good the observations are [px]: what residuals are compared with.
-  void set_sigma(double sigma) { sigma_ = sigma; }
+  // How good the observations are: what residuals are compared with.
+  void set_noise(const Noise& noise) { noise_ = noise; }
 
   // Whether odometry counts between all successive views, or only where it is needed: the errors of the calibration are
   // in it.
@@ -314,7 +409,7 @@ class Adjuster {
     }
     std::optional<ceres::SubsetManifold> free_part;
     if (static_cast<int>(fixed.size()) < kCalibration) free_part.emplace(kCalibration, fixed);
-    ceres::CauchyLoss loss(kWidth * sigma_);
+    ceres::CauchyLoss loss(kWidth);
 
     ceres::Problem problem(lent());
     auto order = std::make_shared<ceres::ParameterBlockOrdering>();  // points are eliminated first
@@ -333,8 +428,8 @@ class Adjuster {
     for (size_t l = 0; l < landmarks_.size(); ++l) {
       double* const point = state.points[l].data();
       for (const Observation& seen : landmarks_[l].observations) {
-        problem.AddResidualBlock(new ObservationCost(camera_, seen.seen), &loss, state.poses[seen.view].data(), point,
-                                 state.calibration.data());
+        problem.AddResidualBlock(new ObservationCost(camera_, seen.seen, noise_), &loss, state.poses[seen.view].data(),
+                                 point, state.calibration.data());
       }
       order->AddElementToGroup(point, 0);
     }
@@ -348,15 +443,15 @@ class Adjuster {
     options.linear_solver_ordering = order;
     options.initial_trust_region_radius = 1e8;
     Watch watch(stopped_);
-    watch.rest = kRest * sigma_ * sigma_ * static_cast<double>(3 * landmarks_.size() + 6 * unknowns_);
+    watch.rest = kRest * static_cast<double>(3 * landmarks_.size() + 6 * unknowns_);
     return minimise(problem, options, watch, max_iterations, iterations);
   }
 
   // Standard deviations of all calibration parameters together (linearised, all free): what the noise of the
   // observations brings, or what parts of the recording disagree by, whichever is more. The latter holds whatever is
   // wrong with the images: with s the gradient that a part adds, points and poses eliminated, and H the Hessian, it is
-  // H^-1 (sum of s s') H^-1. `observation_sigma`: [px] of an image coordinate.
-  Eigen::Array3d calibration_sigma(const State& state, double observation_sigma) {
+  // H^-1 (sum of s s') H^-1. `error`: of an observation, in units of what is set.
+  Eigen::Array3d calibration_sigma(const State& state, double error) {
     linearise(state);
     if (!system_.factorise(1e-12)) return Eigen::Array3d::Constant(std::numeric_limits<double>::infinity());
     const Eigen::MatrixXd y = system_.solve(coupling_);
@@ -378,16 +473,15 @@ class Adjuster {
     }
     const Eigen::Matrix3d disagreement =
         inverse * (parts * parts.transpose() * kParts / (kParts - 1.0)) * inverse.transpose();
-    const Eigen::Array3d variance =
-        (observation_sigma * observation_sigma * inverse.diagonal().array()).max(disagreement.diagonal().array());
+    const Eigen::Array3d variance = (error * error * inverse.diagonal().array()).max(disagreement.diagonal().array());
     return (inverse.diagonal().array() > 0).select(variance.abs().sqrt(), std::numeric_limits<double>::infinity());
   }
 
-  // Marginal covariances of the unknown poses. observation_variance: [px^2] of an image coordinate. free: parameters of
-  // the calibration that the images have decided; the others are where they are taken to be only as far as
+  // Marginal covariances of the unknown poses. variance: of an observation, in units of what is set. free: parameters
+  // of the calibration that the images have decided; the others are where they are taken to be only as far as
   // calibration_sigma says, which moves all poses together. Odometry does not hold against that: it has the same
   // errors.
-  std::vector<Matrix6d> covariances(const State& state, double observation_variance, const Eigen::Array3d& free,
+  std::vector<Matrix6d> covariances(const State& state, double variance, const Eigen::Array3d& free,
                                     const Eigen::Array3d& calibration_sigma) {
     linearise(state);
     system_.factorise_nearly();
@@ -397,26 +491,41 @@ class Adjuster {
     system_.factorise_nearly();
     const Eigen::MatrixXd y = system_.solve(coupling_);
     Eigen::Matrix3d reduced = calibration_hessian_ - coupling_.transpose() * y;
-    reduced.diagonal().array() += (free != 0).select(0.0, observation_variance / calibration_sigma.square());
+    reduced.diagonal().array() += (free != 0).select(0.0, variance / calibration_sigma.square());
     const Eigen::Matrix3d inverse = reduced.inverse();
     for (int u = 0; u < unknowns_; ++u) {
       const auto part = y.middleRows<6>(6 * u);
-      result[u] = observation_variance * (result[u] + part * inverse * part.transpose());
+      result[u] = variance * (result[u] + part * inverse * part.transpose());
     }
     return result;
   }
 
-  // Squared residuals of all observations [px^2], ascending by landmark and observation.
-  std::vector<double> squares(const State& state) const {
-    std::vector<double> result;
+  // What all residuals tell of the observations, by their medians: errors that are told are those that remain, smaller
+  // than those of the observations, which points and poses follow in part.
+  struct Errors {
+    double rms = 0;  // [px] of a coordinate in both images
+    Noise noise;
+    double times = 1;  // as many times as set
+  };
+  Errors errors(const State& state) const {
+    std::vector<double> all, left, disparity, relative;
     for (size_t l = 0; l < landmarks_.size(); ++l) {
       for (const Observation& seen : landmarks_[l].observations) {
         const ObservationResidual at =
             observe(camera_, state.poses[seen.view], state.points[l], state.calibration, seen.seen);
-        result.push_back(at.valid ? at.residual.squaredNorm() : std::numeric_limits<double>::infinity());
+        if (!at.valid) continue;
+        const Eigen::Vector3d in_pixels = whitened(at, {}).residual;
+        all.push_back(at.residual.squaredNorm());
+        left.push_back(in_pixels.head<2>().squaredNorm());
+        disparity.push_back(in_pixels.z() * in_pixels.z());
+        relative.push_back(left.back() / (noise_.left * noise_.left) +
+                           disparity.back() / (noise_.disparity * noise_.disparity));
       }
     }
-    return result;
+    return {.rms = std::sqrt(median(all) / kScaleOfMedian),
+            .noise = {.left = std::sqrt(median(left) / kMedianOfTwo),
+                      .disparity = std::sqrt(median(disparity) / kMedianOfOne)},
+            .times = std::sqrt(median(relative) / kScaleOfMedian)};
   }
 
  private:
@@ -470,9 +579,7 @@ class Adjuster {
   }
 
   // Takes odometry's information to the units of the observations, which are `times_` as uncertain as they look.
-  double weight_of(const Bridge& bridge) const {
-    return bridge.needed || odometry_everywhere_ ? times_ * times_ * sigma_ * sigma_ : 0;
-  }
+  double weight_of(const Bridge& bridge) const { return bridge.needed || odometry_everywhere_ ? times_ * times_ : 0; }
 
   // Gauss and Newton's matrix at some state with all points eliminated by their 3x3 Schur complements: what covariances
   // follow from.
@@ -528,9 +635,9 @@ class Adjuster {
       Eigen::Vector3d point_gradient = Eigen::Vector3d::Zero();
       for (const Observation& seen : landmarks_[l].observations) {
         const ObservationResidual at =
-            observe(camera_, state.poses[seen.view], state.points[l], state.calibration, seen.seen);
+            whitened(observe(camera_, state.poses[seen.view], state.points[l], state.calibration, seen.seen), noise_);
         IRIS_CHECK(at.valid);
-        const double weight = 1 / (1 + at.residual.squaredNorm() / (kWidth * kWidth * sigma_ * sigma_));
+        const double weight = 1 / (1 + at.residual.squaredNorm() / (kWidth * kWidth));
         const int place = 6 * place_in(group, seen.view);
         const Eigen::Matrix<double, 6, 3> pose = weight * at.by_pose.transpose();
         const Eigen::Matrix3d calibration = weight * at.by_calibration.transpose();
@@ -573,17 +680,8 @@ class Adjuster {
   double times_ = 1;
   const std::function<bool()>& stopped_;  // may be empty
   bool odometry_everywhere_ = true;
-  double sigma_ = 1;  // [px]
+  Noise noise_;
 };
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
-// Standard deviation of a coordinate [px] that the median of the squared residuals of three coordinates shows.
-double robust_sigma(const std::vector<double>& squares) { return std::sqrt(median(squares) / kScaleOfMedian); }
 
 // Covariance of a motion carried on: of a from c, c being rigidly `way` away from b, for that of a from b.
 Matrix6d carried(const Matrix6d& covariance, const Eigen::Vector3d& way) {
@@ -797,10 +895,10 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
   Adjuster adjuster(camera, landmarks, bridges, unknown_of_view, unknowns, times, stopped);
   const Eigen::Array3d none = Eigen::Array3d::Zero();
   // Points begin where their anchor saw them; half of their disagreement is its own.
-  result.rms_before = robust_sigma(adjuster.squares(state));
-  adjuster.set_sigma(result.rms_before);
+  result.rms_before = adjuster.errors(state).rms;
+  adjuster.set_noise({.left = result.rms_before, .disparity = M_SQRT2 * result.rms_before});
   adjuster.run(state, none, 3, result.iterations);
-  adjuster.set_sigma(robust_sigma(adjuster.squares(state)));
+  adjuster.set_noise(adjuster.errors(state).noise);
 
   // What the images say about the calibration, then with what of it is significant.
   const double freedom = 3.0 * (result.observations - result.points) - 6.0 * unknowns;
@@ -809,7 +907,7 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
   adjuster.use_odometry(false);
   adjuster.run(free_state, Eigen::Array3d::Ones(), options.max_iterations, result.iterations);
   const Eigen::Array3d calibration_sigma =
-      adjuster.calibration_sigma(free_state, times * few * robust_sigma(adjuster.squares(free_state)));
+      adjuster.calibration_sigma(free_state, times * few * adjuster.errors(free_state).times);
   Estimated* const estimates[] = {&result.calibration.disparity_offset, &result.calibration.focal,
                                   &result.calibration.slope};
   const double least[] = {options.min_offset, options.min_focal, kLeastSlope};
@@ -840,10 +938,11 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
   result.calibration.words = words_of(result.calibration, camera, median_disparity(landmarks));
   result.camera.disparity_offset += state.calibration(0);
   result.camera.f *= 1 + state.calibration(1);
-  result.rms_after = robust_sigma(adjuster.squares(state));
+  const Adjuster::Errors after = adjuster.errors(state);
+  result.rms_after = after.rms;
 
   const std::vector<Matrix6d> of_unknowns =
-      adjuster.covariances(state, std::pow(times * few * result.rms_after, 2), free,
+      adjuster.covariances(state, std::pow(times * few * after.times, 2), free,
                            Eigen::Array3d(options.min_offset, options.min_focal, kLeastSlope));
   std::vector<Matrix6d> covariances;
   for (const int u : unknown_of_view) covariances.push_back(u < 0 ? Matrix6d::Zero() : of_unknowns[u]);

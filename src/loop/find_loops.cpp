@@ -113,10 +113,13 @@ std::vector<Candidate> joined(std::vector<Candidate> all, const std::vector<Cand
   return all;
 }
 
-// Which of the failed candidates are worth the time that SIFT takes: the best few of each view, unless both views have
-// loops already. Ascending.
-std::vector<int> worth_rescue(const std::vector<Candidate>& candidates, const std::vector<LoopEdge>& edges) {
-  constexpr int kEnough = 2, kAttempts = 3;  // loops, attempts of a view
+// Which of the failed candidates are worth the time that SIFT takes: the best of each view (the best few between views
+// that odometry does not join), unless both views have loops already. Where loops have put the path right, bundle
+// adjustment finds what views have in common, without SIFT. Ascending.
+std::vector<int> worth_rescue(const std::vector<Candidate>& candidates, const std::vector<LoopEdge>& edges,
+                              const Odometry& odometry) {
+  constexpr int kEnough = 2;                       // loops
+  constexpr int kAttempts = 1, kJoinAttempts = 3;  // attempts of a view
   std::map<int, int> loops, attempts;
   std::vector<int> failed;
   for (size_t c = 0; c < edges.size(); ++c) {
@@ -134,7 +137,8 @@ std::vector<int> worth_rescue(const std::vector<Candidate>& candidates, const st
   for (const int c : failed) {
     const auto [i, j] = std::pair(candidates[c].i, candidates[c].j);
     if (loops[i] >= kEnough && loops[j] >= kEnough) continue;
-    if (attempts[i] >= kAttempts || attempts[j] >= kAttempts) continue;
+    const int most = odometry.node(i).submap == odometry.node(j).submap ? kAttempts : kJoinAttempts;
+    if (attempts[i] >= most || attempts[j] >= most) continue;
     ++attempts[i], ++attempts[j];
     chosen.push_back(c);
   }
@@ -213,7 +217,7 @@ std::vector<LoopEdge> find_loops(const PoseGraph& graph, const std::vector<int>&
   std::vector<int> all(candidates.size());
   for (int c = 0; c < count; ++c) all[c] = c;
   verify_all(all, /*sift=*/false);
-  if (options.rescue) verify_all(worth_rescue(candidates, edges), /*sift=*/true);
+  if (options.rescue) verify_all(worth_rescue(candidates, edges, odometry), /*sift=*/true);
   judge_consistency(edges, odometry, options);
   return edges;
 }

@@ -270,11 +270,15 @@ TEST(Bundle, LeavesAGoodCalibrationAlone) {
   const Pose i_from_j = looped.truth[0].inverse() * looped.truth[6];
   looped.refined.graph.edges.push_back({0, 6, i_from_j, 1e6 * Matrix6d::Identity(), PoseEdgeKind::loop});
   looped.refined.edge_weight.push_back(1);
-  const BundleResult with = looped.bundle({.window = 1});
+  const BundleOptions alone{.window = 1, .partners = 0};
+  const BundleResult with = looped.bundle(alone);
   looped.refined.edge_weight.back() = 0;
-  const BundleResult without = looped.bundle({.window = 1});
-  EXPECT_EQ(without.covariance[6], session.bundle({.window = 1}).covariance[6]);
+  const BundleResult without = looped.bundle(alone);
+  EXPECT_EQ(without.covariance[6], session.bundle(alone).covariance[6]);
   EXPECT_LT(with.covariance[6].determinant(), 0.5 * without.covariance[6].determinant());
+  // So do views beyond the window that see the same, without any loop.
+  const BundleResult partners = session.bundle({.window = 1, .partners = 2});
+  EXPECT_LT(partners.covariance[6].determinant(), 0.5 * without.covariance[6].determinant());
 }
 
 TEST(Bundle, SaysWhenTooLittleIsShared) {

@@ -17,6 +17,7 @@ namespace iris::loop {
 
 struct BundleOptions {
   int window = 5;            // [stored views] corners of a view are looked for in so many later ones, and in loops
+  int partners = 8;          // [stored views] and in so many earlier ones that see the same by the refined poses
   int points = 250;          // most points of a view
   bool calibrate = true;     // correct the disparity offset and the focal length if they are off significantly
   double min_offset = 0.1;   // [px] a smaller disparity offset is not corrected: matching alone has such errors

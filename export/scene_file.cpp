@@ -314,15 +314,18 @@ void write_scene(const std::filesystem::path& glb, const PoseGraph& graph, const
   if (model.buffers[0].data.empty()) model.buffers.clear();
   model.asset.version = "2.0";
   model.asset.generator = "IRIS " IRIS_VERSION;
-  model.asset.extras = tinygltf::Value(tinygltf::Value::Object{
+  tinygltf::Value::Object extras = {
       {"session", tinygltf::Value(session_name)},
       {"software", tinygltf::Value(std::string("IRIS"))},
       {"version", tinygltf::Value(std::string(IRIS_VERSION))},
       {"units", tinygltf::Value(std::string("m"))},
       {"up", tinygltf::Value(std::string("y at the top of the scene; z below the node 'world'"))},
-      {"submaps", tinygltf::Value(std::string("no known relation to each other; shown side by side along x"))},
       {"surface_views", tinygltf::Value(kept_views)},
-      {"voxel", tinygltf::Value(edge)}});
+      {"voxel", tinygltf::Value(edge)}};
+  if (parts.size() > 1) {
+    extras["submaps"] = tinygltf::Value(std::string("no known relation to each other; shown side by side along x"));
+  }
+  model.asset.extras = tinygltf::Value(std::move(extras));
   write_glb(glb, model);
 }
 

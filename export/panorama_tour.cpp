@@ -218,11 +218,8 @@ int write_panorama_tour(const Workspace& workspace, const RunOptions& options, c
           .width = width,
           .height = width / 2,
           .world_from_cam = tour::looking({nodes[i].position.x(), nodes[i].position.y(), eye}, {1, 0, 0})};
-      std::vector<std::shared_ptr<const render::PreparedSource>> sources;
-      for (const int view : render::select_sources(camera, views->summaries(), dsnv)) {
-        sources.push_back(std::make_shared<render::PreparedSource>(views->load(view), dsnv));
-      }
-      const NovelView view = render::render_novel_view(camera, sources, dsnv);
+      const auto prepare = [&](int view) { return std::make_shared<render::PreparedSource>(views->load(view), dsnv); };
+      const NovelView view = render::render_from_views(camera, views->summaries(), prepare, dsnv);
       folder.write(index, view.image, view.depth);
     }
     progress.update(index + 1);

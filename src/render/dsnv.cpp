@@ -44,6 +44,18 @@ DepthRange depth_range(const PreparedSource& source) {
           ft / std::max(low + camera.disparity_offset, kSmallestDisparity)};
 }
 
+// The ranges of a source without disparities are empty.
+Source source_of(const NovelCamera& camera, const PreparedSource& prepared) {
+  const Pose cam_from_novel = prepared.view().world_from_cam.inverse() * camera.world_from_cam;
+  const DepthRange range = prepared.max_disparity() > 0 ? depth_range(prepared) : DepthRange{1, 0};
+  return {.prepared = &prepared,
+          .cam_from_novel = cam_from_novel.linear(),
+          .novel_in_cam = cam_from_novel.translation(),
+          .distance = cam_from_novel.translation().norm(),
+          .nearest = range.nearest,
+          .farthest = range.farthest};
+}
+
 // The disparity surface between two pixels of a row or column, or the nearer pixel if they belong to different objects.
 // `at` must lie within the line of `count` pixels.
 inline float on_line(const float* line, ptrdiff_t stride, int count, float at, float max_step) {
@@ -587,9 +599,21 @@ RayHit ray_hit(const TileHits& hits, size_t i) {
           .along = hits.along.at[i]};
 }
 
+void tile_rays(const NovelCamera& camera, int step, int x_begin, int y_begin, TileWalk::Rays& rays, TileRays& vectors) {
+  for (int y = 0; y <= kTile; ++y) {
+    for (int x = 0; x <= kTile; ++x) {
+      const Vector3d ray = pixel_ray(camera, (x_begin + x) * step, (y_begin + y) * step);
+      rays[static_cast<size_t>(y)][static_cast<size_t>(x)] = ray;
+      const size_t i = ray_index(x, y);
+      vectors.x[i] = static_cast<float>(ray.x());
+      vectors.y[i] = static_cast<float>(ray.y());
+      vectors.z[i] = static_cast<float>(ray.z());
+    }
+  }
+}
+
 // Pixel (x, y) of `view` is pixel (step x, step y) of the camera.
 void trace(const NovelCamera& camera, const std::vector<Source>& sources, const DsnvOptions& options, NovelView& view) {
-  constexpr size_t kSide = TileWalk::kSide;
   const int step = options.step, width = view.image.cols, height = view.image.rows;
   const float max_step = static_cast<float>(options.max_disparity_step);
   const bool agreement = options.fusion == "agreement";
@@ -607,17 +631,7 @@ void trace(const NovelCamera& camera, const std::vector<Source>& sources, const 
     TileRays vectors{};
     TilePixels pixels;
     for (int x_begin = 0; x_begin < width; x_begin += kTile) {
-      for (size_t y = 0; y < kSide; ++y) {
-        for (size_t x = 0; x < kSide; ++x) {
-          const Vector3d ray =
-              pixel_ray(camera, (x_begin + static_cast<int>(x)) * step, (y_begin + static_cast<int>(y)) * step);
-          rays[y][x] = ray;
-          const size_t i = ray_index(static_cast<int>(x), static_cast<int>(y));
-          vectors.x[i] = static_cast<float>(ray.x());
-          vectors.y[i] = static_cast<float>(ray.y());
-          vectors.z[i] = static_cast<float>(ray.z());
-        }
-      }
+      tile_rays(camera, step, x_begin, y_begin, rays, vectors);
       for (size_t i = 0; i < count; ++i) walks[i].meet(rays, vectors, x_begin > 0, hits[i]);
       if (agreement) fuse_by_agreement(constants.data(), hits.data(), count, pixels);
       const int columns = std::min(kTile, width - x_begin), rows = y_end - y_begin;
@@ -637,6 +651,36 @@ void trace(const NovelCamera& camera, const std::vector<Source>& sources, const 
           view.image(y_begin + y, x_begin + x) = pixel.colour;
           view.depth(y_begin + y, x_begin + x) = pixel.depth;
           view.source(y_begin + y, x_begin + x) = pixel.source;
+        }
+      }
+    }
+  });
+}
+
+// What one more source shows of the pixels that are holes so far; its index is `index`.
+void trace_holes(const NovelCamera& camera, const Source& source, int16_t index, const DsnvOptions& options,
+                 NovelView& view) {
+  const int width = view.image.cols, height = view.image.rows;
+  parallel_chunks(0, height, kTile, [&](int y_begin, int y_end) {
+    TileWalk walk(source, static_cast<float>(options.max_disparity_step));
+    TileHits hits;
+    TileWalk::Rays rays;
+    TileRays vectors{};
+    TilePixels pixels;
+    for (int x_begin = 0; x_begin < width; x_begin += kTile) {
+      const int columns = std::min(kTile, width - x_begin);
+      const cv::Mat1s sources = view.source(cv::Rect(x_begin, y_begin, columns, y_end - y_begin));
+      if (std::none_of(sources.begin(), sources.end(), [](int16_t of) { return of < 0; })) continue;
+      tile_rays(camera, options.step, x_begin, y_begin, rays, vectors);
+      walk.meet(rays, vectors, false, hits);
+      fuse_by_agreement(&walk.constants(), &hits, 1, pixels);
+      for (int y = y_begin; y < y_end; ++y) {
+        for (int x = x_begin; x < x_begin + columns; ++x) {
+          const size_t i = ray_index(x - x_begin, y - y_begin);
+          if (view.source(y, x) >= 0 || pixels.source[i] < 0) continue;
+          for (int k = 0; k < 3; ++k) view.image(y, x)[k] = static_cast<uint8_t>(pixels.colour[k].at[i] + 0.5f);
+          view.depth(y, x) = pixels.depth.at[i];
+          view.source(y, x) = index;
         }
       }
     }
@@ -753,27 +797,23 @@ RayHit walk_ray(const PreparedSource& source, const Vector3d& direction, const V
 
 NovelView render_novel_view(const NovelCamera& camera,
                             const std::vector<std::shared_ptr<const PreparedSource>>& prepared,
-                            const DsnvOptions& options) {
+                            const DsnvOptions& options, const FurtherSource& further) {
   IRIS_CHECK(camera.width > 0 && camera.height > 0);
   IRIS_CHECK(camera.projection == Projection::equirectangular || camera.f > 0);
   IRIS_CHECK(options.step == 1 || options.step == 2 || options.step == 4);
   IRIS_CHECK(options.fusion == "agreement" || options.fusion == "nearest");
   IRIS_CHECK(prepared.size() <= kMostSources);
-  // A source without disparities stays in the list, so that indices remain those of the caller; its ranges are empty.
   std::vector<Source> sources;
-  for (const auto& source : prepared) {
-    const Pose cam_from_novel = source->view().world_from_cam.inverse() * camera.world_from_cam;
-    const DepthRange range = source->max_disparity() > 0 ? depth_range(*source) : DepthRange{1, 0};
-    sources.push_back({.prepared = source.get(),
-                       .cam_from_novel = cam_from_novel.linear(),
-                       .novel_in_cam = cam_from_novel.translation(),
-                       .distance = cam_from_novel.translation().norm(),
-                       .nearest = range.nearest,
-                       .farthest = range.farthest});
-  }
+  for (const auto& source : prepared) sources.push_back(source_of(camera, *source));
   const int step = options.step;
   NovelView view = blank((camera.width + step - 1) / step, (camera.height + step - 1) / step);
   trace(camera, sources, options, view);
+  auto index = static_cast<int16_t>(sources.size());
+  for (int i = 0; further && i < options.hole_sources; ++i, ++index) {
+    const std::shared_ptr<const PreparedSource> source = further(view);
+    if (source == nullptr) break;
+    trace_holes(camera, source_of(camera, *source), index, options, view);
+  }
   if (step > 1) view = interpolate(view, camera.width, camera.height, step);
   fill_small_holes(view, options.fill_holes);
   return view;

@@ -22,6 +22,9 @@ void DsnvOptions::declare(OptionSet& set) {
   set.section("render");
   set.add("max_sources", max_sources, "", 1, 32,
           "Stored views that one picture is made from. More views fill more holes and cost time in proportion.");
+  set.add("hole_sources", hole_sources, "", 0, 32,
+          "Where none of these views shows anything, so many others are asked at most: they cost time only for the "
+          "parts of the picture that are missing.");
   set.add("max_disparity_step", max_disparity_step, "px", 0.1, 100,
           "Neighbouring pixels whose disparities differ by more belong to different objects: no surface is put between "
           "them (thesis 7.9).");

@@ -101,6 +101,59 @@ Probes probes(const NovelCamera& camera, double nearest, double farthest) {
 
 using Visibilities = std::array<float, Probes::kCount>;
 
+// Probes at what is missing of a picture: one ray for each part of it, through the middle of its holes. `weights`: part
+// of the picture that is missing there.
+Probes hole_probes(const NovelCamera& camera, const NovelView& picture, int step, Visibilities& weights) {
+  constexpr float kNearer = 0.7f, kFarther = 1.5f;  // of the depths beside the hole
+  const cv::Mat1s& source = picture.source;
+  Probes all{};
+  weights.fill(0);
+  for (int part = 0; part < Probes::kColumns * Probes::kRows; ++part) {
+    const int row = part / Probes::kColumns, column = part % Probes::kColumns;
+    const int x0 = column * source.cols / Probes::kColumns, x1 = (column + 1) * source.cols / Probes::kColumns;
+    const int y0 = row * source.rows / Probes::kRows, y1 = (row + 1) * source.rows / Probes::kRows;
+    cv::Point2d sum(0, 0);
+    int holes = 0;
+    for (int y = y0; y < y1; ++y) {
+      for (int x = x0; x < x1; ++x) {
+        if (source(y, x) < 0) sum += cv::Point2d(x, y), ++holes;
+      }
+    }
+    if (holes == 0) continue;
+    const cv::Point2d middle = sum / holes;
+    cv::Point at(x0, y0);
+    double least = 1e30;
+    for (int y = y0; y < y1; ++y) {
+      for (int x = x0; x < x1; ++x) {
+        const cv::Point2d off = cv::Point2d(x, y) - middle;
+        if (source(y, x) < 0 && off.dot(off) < least) least = off.dot(off), at = {x, y};
+      }
+    }
+    float near = 1e30f, far = 0;
+    for (const auto& [dx, dy] : {std::pair{-1, 0}, {1, 0}, {0, -1}, {0, 1}}) {
+      for (cv::Point p = at; p.x >= 0 && p.y >= 0 && p.x < source.cols && p.y < source.rows; p += cv::Point(dx, dy)) {
+        if (source(p) < 0) continue;
+        near = std::min(near, picture.depth(p)), far = std::max(far, picture.depth(p));
+        break;
+      }
+    }
+    if (far <= 0) continue;
+    const Vector3d ray = camera.world_from_cam.linear() * pixel_ray(camera, at.x * step, at.y * step);
+    const Eigen::Vector3f sight = ray.normalized().cast<float>();
+    const auto length = static_cast<float>(ray.norm());
+    for (int k = 0; k < Probes::kDepths; ++k) {
+      const auto i = static_cast<size_t>(part * Probes::kDepths + k);
+      const float spread = kFarther * far / (kNearer * near);
+      const float range = length * kNearer * near * std::pow(spread, (static_cast<float>(k) + 0.5f) / Probes::kDepths);
+      all.x[i] = range * sight.x(), all.y[i] = range * sight.y(), all.z[i] = range * sight.z();
+      all.sight_x[i] = sight.x(), all.sight_y[i] = sight.y(), all.sight_z[i] = sight.z();
+      all.range[i] = range;
+      weights[i] = static_cast<float>(holes) / static_cast<float>(source.total()) / Probes::kDepths;
+    }
+  }
+  return all;
+}
+
 // How well a view shows each point, in [0, 1]: 0 = not in its image or outside its depth range; less when seen from
 // another direction (what an error of the disparity shifts in the novel picture is proportional to the sine of the
 // angle between both lines of sight; half the worth at kSine), and less when seen from farther away than the novel
@@ -148,6 +201,67 @@ struct Box {
 };
 
 }  // namespace
+
+int select_for_holes(const NovelCamera& camera, const NovelView& picture, int step,
+                     const std::vector<views::ViewSummary>& views, const std::vector<int>& used) {
+  constexpr float kSine = 0.1f;        // a view that looks along the line of one that shows nothing: half its worth
+  constexpr float kLeastGain = 1e-2f;  // of the picture
+  Visibilities weights;
+  const Probes all = hole_probes(camera, picture, step, weights);
+  std::vector<uint8_t> is_used(views.size(), 0);
+  std::vector<Visibilities> blind(used.size());
+  for (size_t k = 0; k < used.size(); ++k) {
+    const views::ViewSummary& view = views[static_cast<size_t>(used[k])];
+    is_used[static_cast<size_t>(used[k])] = 1;
+    judge(camera, view, range_of(view), all, blind[k]);
+  }
+  std::vector<float> gains(views.size(), 0.0f), seen_parts(views.size(), 0.0f);
+  constexpr int kGrain = 64;
+  parallel_chunks(0, static_cast<int>(views.size()), kGrain, [&](int begin, int end) {
+    Visibilities seen;
+    for (int c = begin; c < end; ++c) {
+      const auto i = static_cast<size_t>(c);
+      const views::ViewSummary& view = views[i];
+      if (is_used[i] || view.max_disparity <= 0) continue;
+      judge(camera, view, range_of(view), all, seen);
+      const Eigen::Vector3f place =
+          (view.world_from_cam.translation() - camera.world_from_cam.translation()).cast<float>();
+      for (size_t p = 0; p < Probes::kCount; ++p) {
+        if (weights[p] * seen[p] <= 0) continue;
+        const Eigen::Vector3f point(all.x[p], all.y[p], all.z[p]);
+        const Eigen::Vector3f line = (point - place).normalized();
+        float worth = 1;
+        for (size_t k = 0; k < used.size(); ++k) {
+          if (blind[k][p] <= 0) continue;
+          const Eigen::Vector3f other = point - (views[static_cast<size_t>(used[k])].world_from_cam.translation() -
+                                                 camera.world_from_cam.translation())
+                                                    .cast<float>();
+          const float sine = line.cross(other).norm() / other.norm();
+          worth = std::min(worth, sine / (kSine + sine));
+        }
+        gains[i] += weights[p] * seen[p] * worth;
+        seen_parts[i] += weights[p] * worth;
+      }
+    }
+  });
+  const auto best = std::max_element(gains.begin(), gains.end()) - gains.begin();
+  return gains.empty() || seen_parts[static_cast<size_t>(best)] < kLeastGain ? -1 : static_cast<int>(best);
+}
+
+NovelView render_from_views(const NovelCamera& camera, const std::vector<views::ViewSummary>& views,
+                            const std::function<std::shared_ptr<const PreparedSource>(int view)>& prepare,
+                            const DsnvOptions& options) {
+  std::vector<int> used = select_sources(camera, views, options);
+  std::vector<std::shared_ptr<const PreparedSource>> sources;
+  for (const int view : used) sources.push_back(prepare(view));
+  return render_novel_view(camera, sources, options,
+                           [&](const NovelView& so_far) -> std::shared_ptr<const PreparedSource> {
+                             const int next = select_for_holes(camera, so_far, options.step, views, used);
+                             if (next < 0) return nullptr;
+                             used.push_back(next);
+                             return prepare(next);
+                           });
+}
 
 Frustum source_frustum(const views::ViewSummary& view) {
   IRIS_CHECK(view.max_disparity > 0);

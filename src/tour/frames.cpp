@@ -166,21 +166,19 @@ void render_tour(const CameraPath& path, const std::vector<PoseNode>& nodes, con
   for (const PoseNode& node : nodes) recorded_path.push_back(node.world_from_cam.translation());
   const Pose recording_from_model = recording_from_robot(options);
 
-  SourceCache cache(store, dsnv, 3 * static_cast<size_t>(dsnv.max_sources));
+  SourceCache cache(store, dsnv, 3 * static_cast<size_t>(dsnv.max_sources + dsnv.hole_sources));
   SinkThread output(4, [&](int frame_idx, const NovelView& view) { sink(frame_idx, frames, view); });
   for (const int frame_idx : wanted) {
     const TourFrame frame = tour_frame(path, nodes, options, frame_idx);
-    std::vector<std::shared_ptr<const render::PreparedSource>> sources;
+    NovelView view;
     if (extras.moment) {
-      if (auto view = extras.moment(frame.stamp_ns)) {
-        sources.push_back(std::make_shared<render::PreparedSource>(std::move(view), dsnv));
-      }
+      std::vector<std::shared_ptr<const StereoView>> sources;
+      if (auto moment = extras.moment(frame.stamp_ns)) sources.push_back(std::move(moment));
+      view = render::render_novel_view(frame.camera, sources, dsnv);
     } else {
-      for (const int index : render::select_sources(frame.camera, summaries, dsnv)) {
-        sources.push_back(cache.get(indices[static_cast<size_t>(index)]));
-      }
+      const auto prepare = [&](int index) { return cache.get(indices[static_cast<size_t>(index)]); };
+      view = render::render_from_views(frame.camera, summaries, prepare, dsnv);
     }
-    NovelView view = render::render_novel_view(frame.camera, sources, dsnv);
 
     if (options.draw_path) render::draw_path(view, frame.camera, recorded_path, kPathColour, 2);
     if (options.draw_camera && !summaries.empty()) {

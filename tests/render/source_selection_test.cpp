@@ -145,5 +145,82 @@ TEST(SelectSources, APanoramaTakesViewsAllAround) {
   EXPECT_THAT(select_sources(novel, views, {.max_sources = 8}), SizeIs(8));
 }
 
+std::vector<std::shared_ptr<const PreparedSource>> prepared_room(const std::vector<Pose>& poses) {
+  std::vector<std::shared_ptr<const PreparedSource>> sources;
+  for (const Pose& pose : poses) {
+    auto view = std::make_shared<StereoView>(testing::room().view(scene_camera(), pose));
+    sources.push_back(std::make_shared<PreparedSource>(std::move(view), DsnvOptions{}));
+  }
+  return sources;
+}
+
+std::vector<views::ViewSummary> summaries_of(const std::vector<std::shared_ptr<const PreparedSource>>& sources) {
+  std::vector<views::ViewSummary> summaries;
+  for (const auto& source : sources) summaries.push_back(views::summarise(source->view()));
+  return summaries;
+}
+
+TEST(HoleSources, TheViewOfTheMissingSideIsChosen) {
+  // The picture looks to the right of the only view it has; the others look left, right, and along the same line.
+  const auto sources = prepared_room({pose_at({0, 0, 0}), pose_at({0.1, 0, 0}, {0, -0.5, 0}),
+                                      pose_at({0.1, 0, 0}, {0, 0.5, 0}), pose_at({0.01, 0, 0})});
+  const NovelCamera novel = novel_of(scene_camera(), pose_at({0, 0, 0}, {0, 0.4, 0}));
+  const auto views = summaries_of(sources);
+  const NovelView picture = render_novel_view(novel, {sources[0]}, {.fill_holes = 0});
+  ASSERT_LT(testing::coverage(picture), 0.8);
+  EXPECT_EQ(select_for_holes(novel, picture, 1, views, {0}), 2);
+  EXPECT_NE(select_for_holes(novel, picture, 1, views, {0, 2}), 2);
+  const NovelView whole = render_novel_view(novel_of(scene_camera(), pose_at({})), {sources[0]}, {});
+  EXPECT_EQ(select_for_holes(novel_of(scene_camera(), pose_at({})), whole, 1, views, {0}), -1);
+}
+
+TEST(HoleSources, FillHolesAndNothingElse) {
+  const auto sources = prepared_room({pose_at({0, 0, 0}), pose_at({0.1, 0, 0}, {0, 0.5, 0})});
+  const NovelCamera novel = novel_of(scene_camera(), pose_at({0, 0, 0}, {0, 0.4, 0}));
+  const DsnvOptions options{.hole_sources = 3, .fill_holes = 0};
+  const NovelView first = render_novel_view(novel, {sources[0]}, options);
+  const NovelView second = render_novel_view(novel, {sources[1]}, options);
+  int asked = 0;
+  const NovelView both = render_novel_view(novel, {sources[0]}, options, [&](const NovelView& so_far) {
+    ++asked;
+    EXPECT_EQ(cv::countNonZero(so_far.source >= 0) > cv::countNonZero(first.source >= 0), asked > 1);
+    return asked == 1 ? sources[1] : nullptr;
+  });
+  EXPECT_EQ(asked, 2);
+  int filled = 0, differ = 0;
+  for (int y = 0; y < novel.height; ++y) {
+    for (int x = 0; x < novel.width; ++x) {
+      const bool known = first.source(y, x) >= 0;
+      const NovelView& expected = known ? first : second;
+      ASSERT_EQ(both.source(y, x), known ? 0 : second.source(y, x) < 0 ? -1 : 1);
+      filled += !known && second.source(y, x) >= 0;
+      // A tile shares walked rays with its left neighbour only where both are traced: settled within 1e-3 px.
+      differ += std::abs(both.depth(y, x) - expected.depth(y, x)) > 1e-3f * expected.depth(y, x);
+    }
+  }
+  EXPECT_GT(filled, novel.width * novel.height / 8);
+  EXPECT_LE(differ, filled / 100);
+
+  // Never more than the options allow.
+  asked = 0;
+  render_novel_view(novel, {sources[0]}, options, [&](const NovelView&) { return ++asked, sources[0]; });
+  EXPECT_EQ(asked, 3);
+}
+
+TEST(HoleSources, FewSourcesAndTheirFillersCoverWhatManyDo) {
+  std::vector<Pose> poses;
+  for (int i = 0; i < 10; ++i) poses.push_back(pose_at({0.15 * i - 0.7, 0, 0}, {0, 0.14 * i - 0.6, 0}));
+  const auto sources = prepared_room(poses);
+  const auto views = summaries_of(sources);
+  const auto prepare = [&](int view) { return sources[static_cast<size_t>(view)]; };
+  const NovelCamera novel = novel_of(scene_camera(), pose_at({0.1, -0.1, -1}));
+  const auto covered = [&](int most, int further) {
+    return testing::coverage(render_from_views(novel, views, prepare, {.max_sources = most, .hole_sources = further}));
+  };
+  const double all = covered(10, 0), one = covered(1, 0), filled = covered(1, 6);
+  EXPECT_LT(one, all - 0.05);
+  EXPECT_GT(filled, all - 0.02);  // each filler must show a hundredth of the picture
+}
+
 }  // namespace
 }  // namespace iris::render

@@ -3,6 +3,7 @@
 // disparity surface.
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -15,6 +16,7 @@ namespace iris::render {
 
 struct DsnvOptions {
   int max_sources = 4;               // source views a picture is made from; >= 1
+  int hole_sources = 6;              // so many further views at most show what is still missing; >= 0
   double max_disparity_step = 2;     // [px] neighbours in the disparity image that differ by more are different objects
                                      // (thesis 7.9); > 0
   int step = 1;                      // [px] trace every n-th pixel of the novel view, interpolate the rest; 1, 2 or 4
@@ -54,13 +56,17 @@ class PreparedSource {
   std::vector<cv::Mat1f> max_levels_, min_levels_;
 };
 
-// The picture of the novel camera. `source` of the result holds indices into `sources`. All views must be in one
-// sub-map. Bit-identical for any number of threads.
+// Asked for one more source while holes remain; nullptr = enough. The picture so far has every options.step-th pixel of
+// the camera.
+using FurtherSource = std::function<std::shared_ptr<const PreparedSource>(const NovelView& so_far)>;
+
+// The picture of the novel camera. `source` of the result holds indices into `sources`; what a further source shows has
+// the indices after these. All views must be in one sub-map. Bit-identical for any number of threads.
 NovelView render_novel_view(const NovelCamera& camera, const std::vector<std::shared_ptr<const StereoView>>& sources,
                             const DsnvOptions& options);
 NovelView render_novel_view(const NovelCamera& camera,
                             const std::vector<std::shared_ptr<const PreparedSource>>& sources,
-                            const DsnvOptions& options);
+                            const DsnvOptions& options, const FurtherSource& further = nullptr);
 
 // Where one ray meets the surface of one source view.
 enum class Meeting { nothing, surface, back_side };

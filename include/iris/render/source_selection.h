@@ -2,6 +2,8 @@
 #pragma once
 
 #include <array>
+#include <functional>
+#include <memory>
 #include <vector>
 
 #include "iris/render/dsnv.h"
@@ -16,6 +18,19 @@ namespace iris::render {
 // one, and the nearer it is to the surface. Only views of one sub-map may be given.
 std::vector<int> select_sources(const NovelCamera& camera, const std::vector<views::ViewSummary>& views,
                                 const DsnvOptions& options);
+
+// Index into `views` of the view that may show most of the holes of a picture, or -1 if none can show a hundredth of
+// the picture. What is missing is looked for at the depths around the holes. `used` views, which show nothing there,
+// are not taken again, and speak against those that look along the same lines. The picture has every step-th pixel of
+// the camera.
+int select_for_holes(const NovelCamera& camera, const NovelView& picture, int step,
+                     const std::vector<views::ViewSummary>& views, const std::vector<int>& used);
+
+// The picture of the novel camera from the views that select_sources names, and from options.hole_sources others at
+// most where these leave holes. `prepare` is called with indices into `views`.
+NovelView render_from_views(const NovelCamera& camera, const std::vector<views::ViewSummary>& views,
+                            const std::function<std::shared_ptr<const PreparedSource>(int view)>& prepare,
+                            const DsnvOptions& options);
 
 // A convex body with flat faces, in world coordinates [m].
 struct Frustum {

@@ -96,6 +96,9 @@ MapErrors::Thickness thickness_of(std::vector<int> cells) {
 
 // Whether the face of a cell belongs to a straight wall before which nothing stands.
 bool is_bare_wall(const GridMap& truth, cv::Point cell, cv::Point out) {
+  int deep = 1;
+  while (deep <= MapErrors::kThin && truth.at(cell - deep * out) == Cell::occupied) ++deep;
+  if (deep > MapErrors::kThin) return false;
   const cv::Point along(out.y, out.x);
   for (int k = -MapErrors::kBeside; k <= MapErrors::kBeside; ++k) {
     if (truth.at(cell + k * along) != Cell::occupied) return false;

@@ -125,6 +125,12 @@ TEST(Map, ThicknessOfBareWallsLeavesOutWhatStandsBeforeThem) {
   EXPECT_EQ(walls(map).most, 2);
   rows.pop_back();
   map.pop_back();
+  // A bed.
+  std::vector<std::string> bed(7, "..............");
+  bed.insert(bed.end(), 3, "##############");
+  EXPECT_EQ(evaluate_map(drawn(bed), drawn(bed), Pose::Identity(), {}).walls.faces, 14 - 2 * MapErrors::kBeside);
+  bed.push_back("##############");
+  EXPECT_EQ(evaluate_map(drawn(bed), drawn(bed), Pose::Identity(), {}).walls.faces, 0);
   // If it stands there in truth, the faces beside it are not bare any more: 5 columns to the right are too short.
   rows[2] = "....#.........";
   EXPECT_EQ(walls(map).faces, 14 - 5 - 2 * MapErrors::kBeside);

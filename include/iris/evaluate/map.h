@@ -71,7 +71,8 @@ struct MapErrors {
   // Of them those of bare walls: straight for kBeside cells to both sides, with nothing but free space before it in
   // the truth, kAcross cells far. What the map has of furniture is not counted as a part of the wall here, nor is what
   // it has inside of a wall of which the other face is within kAcross as well: there, the wall is as thick as that.
-  static constexpr int kBeside = 4;
+  // Beds and tables are no walls: their surfaces are more than kThin cells deep.
+  static constexpr int kBeside = 4, kThin = 3;
   Thickness walls;
 
   // [%]; NaN if there is nothing to judge.

@@ -4,6 +4,7 @@
 #include <memory>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <vector>
 
 #include "iris/evaluate/images.h"
 #include "iris/render/dsnv.h"
@@ -24,6 +25,60 @@ std::shared_ptr<const StereoView> view_of(const Sequence& sequence, size_t index
   return view;
 }
 
+NovelCamera camera_at(const Sequence& sequence, size_t index) {
+  return {.width = sequence.camera.width,
+          .height = sequence.camera.height,
+          .f = sequence.camera.f,
+          .cx = sequence.camera.cx,
+          .cy = sequence.camera.cy,
+          .world_from_cam = sequence.truth[index]};
+}
+
+struct Disparities {
+  const char* name;
+  stereo::MwmfOptions options;
+};
+
+// Figures 7.7i and k once more, all around the boxes, each time from two views 34 degrees away on both sides. What few
+// pixels a sparse method shows are the easy ones: the pixels that all methods show are compared as well.
+void compare_disparities(const Sequence& sequence, const std::vector<Disparities>& methods) {
+  constexpr size_t kPlaces = 8;
+  const size_t views = sequence.pairs.size(), between = views * 34 / 360;
+  struct Sum {
+    double coverage = 0, whole = 0, psnr = 0, ssim = 0;
+  };
+  std::vector<Sum> sums(methods.size());
+  for (size_t place = 0; place < kPlaces; ++place) {
+    const size_t at = place * views / kPlaces;
+    cv::Mat3b truth;
+    cv::cvtColor(sequence.pairs[at].left, truth, cv::COLOR_GRAY2BGR);
+    std::vector<NovelView> shown;
+    cv::Mat1b by_all(truth.size(), uint8_t{255});
+    for (const Disparities& method : methods) {
+      shown.push_back(render::render_novel_view(camera_at(sequence, at),
+                                                {view_of(sequence, (at + views - between) % views, method.options),
+                                                 view_of(sequence, (at + between) % views, method.options)},
+                                                {.fusion = "nearest", .fill_holes = 0}));
+      by_all &= shown.back().source >= 0;
+    }
+    for (size_t k = 0; k < methods.size(); ++k) {
+      const evaluate::ImageErrors errors = evaluate::compare_images(shown[k].image, truth, by_all);
+      sums[k].coverage += evaluate::compare_images(shown[k].image, truth, shown[k].source >= 0).coverage / kPlaces;
+      sums[k].whole += evaluate::compare_images(shown[k].image, truth, {}).psnr / kPlaces;
+      sums[k].psnr += errors.psnr / kPlaces;
+      sums[k].ssim += errors.ssim / kPlaces;
+    }
+  }
+  fmt::print(
+      "\n{} views around the boxes, each from two views 34° away (7.7i with both kinds of disparities), means\n\n",
+      kPlaces);
+  print_heading({"disparities", "coverage", "PSNR with holes black", "PSNR where all show something", "SSIM there"});
+  for (size_t k = 0; k < methods.size(); ++k) {
+    print_row({methods[k].name, fmt::format("{:.1f} %", sums[k].coverage), fmt::format("{:.2f} dB", sums[k].whole),
+               fmt::format("{:.2f} dB", sums[k].psnr), fmt::format("{:.3f}", sums[k].ssim)});
+  }
+}
+
 }  // namespace
 
 void print_view_tables() {
@@ -38,12 +93,7 @@ void print_view_tables() {
   stereo::MwmfOptions plain = plain_correlation();
   plain.disparities = mwmf.disparities;
 
-  NovelCamera camera{.width = sequence.camera.width,
-                     .height = sequence.camera.height,
-                     .f = sequence.camera.f,
-                     .cx = sequence.camera.cx,
-                     .cy = sequence.camera.cy,
-                     .world_from_cam = sequence.truth[third]};
+  const NovelCamera camera = camera_at(sequence, third);
   cv::Mat3b truth;
   cv::cvtColor(sequence.pairs[third].left, truth, cv::COLOR_GRAY2BGR);
   cv::Mat pictures = truth.clone();
@@ -69,6 +119,7 @@ void print_view_tables() {
   predict("7.7k", "view 1", {first}, plain, "LoG/SAD", "nearest");
   cv::imwrite("predicted_view.png", pictures);
   predict("-", "views 1 and 2", {first, second}, mwmf, "MWMF", "agreement");
+  compare_disparities(sequence, {{"MWMF", mwmf}, {"LoG/SAD", plain}});
 }
 
 }  // namespace iris::thesis

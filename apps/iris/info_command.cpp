@@ -6,6 +6,7 @@
 #include <memory>
 
 #include "apps/iris/command.h"
+#include "iris/core/error.h"
 #include "iris/pipeline/frames.h"
 
 namespace iris::app {
@@ -18,22 +19,46 @@ struct Info {
   Arguments arguments;
 };
 
-void print_session(const session::Session& session) {
+// `no_calibration`: why there is none; empty = there is one.
+void print_session(const session::Session& session, const std::string& no_calibration) {
   const StereoCalibration& calibration = session.calibration();
   fmt::print("session      {}\n", session.folder().string());
   fmt::print("kind         {}\n", session.kind());
   fmt::print("frames       {}\n", session.size());
-  if (session.size() > 1) {
+  if (session.size() > 1 && !session.has_stamps()) {
+    fmt::print("duration     unknown: no time stamps\n");
+  } else if (session.size() > 1) {
     const double seconds = static_cast<double>(session.stamp_ns(session.size() - 1) - session.stamp_ns(0)) * 1e-9;
     fmt::print("duration     {:.1f} s, {:.2f} frames a second\n", seconds,
                (session.size() - 1) / std::max(seconds, 1e-9));
   }
   fmt::print("images       {} x {} px{}\n", calibration.left.width, calibration.left.height,
              calibration.rectified ? ", recorded rectified" : "");
-  const RectifiedCamera camera = rectify::Rectifier(calibration).camera();
-  fmt::print("calibration  {}\n", calibration.source);
-  fmt::print("rectified    f {:.2f} px, baseline {:.4f} m\n", camera.f, camera.baseline);
+  if (no_calibration.empty()) {
+    const RectifiedCamera camera = rectify::Rectifier(calibration).camera();
+    fmt::print("calibration  {}\n", calibration.source);
+    fmt::print("rectified    f {:.2f} px, baseline {:.4f} m\n", camera.f, camera.baseline);
+  } else {
+    fmt::print("calibration  none that can be used: {}\n", no_calibration);
+    fmt::print("             of images of a target 'iris calibrate' makes one\n");
+  }
   for (const std::string& note : session.notes()) fmt::print("note         {}\n", note);
+}
+
+// Recordings can be looked at before they are calibrated, and recordings of a target are what calibrations come from. A
+// calibration that was asked for must be good, though.
+void print_session(const std::string& path, session::SessionOptions options) {
+  std::string no_calibration;
+  std::unique_ptr<session::Session> session;
+  try {
+    session = session::open_session(path, options);
+  } catch (const InputError& error) {
+    if (!options.calibration.empty()) throw;
+    no_calibration = error.what();
+    options.needs_calibration = false;
+    session = session::open_session(path, options);  // if something else is wrong it says so again
+  }
+  print_session(*session, no_calibration);
 }
 
 // The numbers of thesis 5.4 for each frame, then their means.
@@ -122,7 +147,7 @@ int info(Info& info) {
   if (fs::exists(fs::path(info.path) / "workspace.db")) {
     print_output(workspace::Workspace::open(info.path, workspace::Workspace::Access::read_only));
   } else {
-    print_session(*session::open_session(info.path, info.arguments.options.library.session));
+    print_session(info.path, info.arguments.options.library.session);
   }
   return kGood;
 }

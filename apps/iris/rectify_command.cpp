@@ -184,13 +184,15 @@ int run(Rectify& state) {
           camera("M2", "D2", c.cx + c.disparity_offset) +
           "R: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]\n" +
           fmt::format("T: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ {}, 0., 0. ]\n", -c.baseline));
-  std::string times;
-  for (int i = 0; i < session->size(); ++i) {
-    if (!written[static_cast<size_t>(i)]) continue;
-    const int64_t ns = session->stamp_ns(i);
-    times += fmt::format("{}.{:09}\n", ns / 1000000000, ns % 1000000000);
+  if (session->has_stamps()) {  // an assumed rate must not look like a recorded one
+    std::string times;
+    for (int i = 0; i < session->size(); ++i) {
+      if (!written[static_cast<size_t>(i)]) continue;
+      const int64_t ns = session->stamp_ns(i);
+      times += fmt::format("{}.{:09}\n", ns / 1000000000, ns % 1000000000);
+    }
+    write_file(out / "times.txt", times);
   }
-  write_file(out / "times.txt", times);
   const auto count = std::count(written.begin(), written.end(), 1);
   spdlog::info("{}: {} rectified pairs, f {:.2f} px, baseline {:.4f} m", out.string(), count, c.f, c.baseline);
   return count == session->size() ? kGood : kIncomplete;

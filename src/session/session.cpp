@@ -268,10 +268,11 @@ void note_unpaired(const char* side, const std::vector<int>& unpaired, const std
                               unpaired.size() > examples.size() ? ", …" : ""));
 }
 
-// Times of numbered images: from times.txt or timestamps.txt, otherwise at a nominal rate.
+// Times of numbered images: from times.txt or timestamps.txt, otherwise at a rate that is given or (then they are no
+// stamps) assumed.
 std::vector<int64_t> stamps_of_numbers(const Layout& layout, const std::vector<int>& left_indices,
                                        const fs::path& folder, const SessionOptions& options,
-                                       std::vector<std::string>& notes) {
+                                       std::vector<std::string>& notes, bool& has_stamps) {
   std::vector<int64_t> stamps;
   const fs::path candidates[] = {folder / "times.txt", folder / "timestamps.txt", layout.left_folder / "times.txt",
                                  layout.left_folder / "timestamps.txt",
@@ -298,6 +299,7 @@ std::vector<int64_t> stamps_of_numbers(const Layout& layout, const std::vector<i
   }
   const double rate = options.rate > 0 ? options.rate : kNominalRate;
   if (options.rate <= 0) {
+    has_stamps = false;
     notes.push_back(
         fmt::format("the recording has no time stamps; {} frames a second are assumed (session.rate)", rate));
   }
@@ -330,7 +332,7 @@ void note_gaps(const std::vector<RecordedFrame>& frames, std::vector<std::string
 }
 
 std::vector<RecordedFrame> pair_up(const Layout& layout, const fs::path& folder, const SessionOptions& options,
-                                   std::vector<std::string>& notes) {
+                                   std::vector<std::string>& notes, bool& has_stamps) {
   const std::vector<int64_t> left = keys_of(layout.left), right = keys_of(layout.right);
   Pairing pairing;
   if (layout.keys_are_stamps) {
@@ -368,7 +370,7 @@ std::vector<RecordedFrame> pair_up(const Layout& layout, const fs::path& folder,
                                   static_cast<double>(largest) * 1e-6));
     }
   } else {
-    stamps = stamps_of_numbers(layout, left_indices, folder, options, notes);
+    stamps = stamps_of_numbers(layout, left_indices, folder, options, notes, has_stamps);
   }
   std::vector<RecordedFrame> frames;
   for (size_t i = 0; i < pairing.pairs.size(); ++i) {
@@ -423,7 +425,7 @@ class ImageSession : public Session {
       : kind_(layout.kind) {
     folder_ = folder;
     notes_ = std::move(notes);
-    const std::vector<RecordedFrame> all = pair_up(layout, folder, options, notes_);
+    const std::vector<RecordedFrame> all = pair_up(layout, folder, options, notes_, has_stamps_);
     const fs::path& first = all.front().left;
     identity_ = kind_ + " " + file_text(first);
     for (const int index : selected_frames(static_cast<int>(all.size()), options, folder)) {

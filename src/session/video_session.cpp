@@ -127,6 +127,7 @@ class VideoSession : public Session {
     rate_ = options.rate > 0 ? options.rate : left_->fps();
     if (!(rate_ > 0) || !std::isfinite(rate_)) {
       rate_ = 10;
+      has_stamps_ = false;
       notes_.push_back("the video does not say its rate; 10 frames a second are assumed (session.rate)");
     }
     const cv::Mat image = left_->frame(selected_.front());

@@ -89,6 +89,26 @@ TEST_F(CalibrateCli, WritesACalibrationAndItsReport) {
   EXPECT_EQ(read_file(folder_->path() / "one.yaml"), read_file(folder_->path() / "calibration.yaml"));
 }
 
+// Pairs of a target have neither a calibration nor times: what there is can be looked at all the same, and nothing is
+// made up.
+TEST_F(CalibrateCli, ImagesWithoutCalibrationAndTimesCanBeLookedAtAndRectified) {
+  const auto info = run_program({"info", images().string()});
+  EXPECT_EQ(info.exit_code, 0) << info.output;
+  EXPECT_THAT(info.output, AllOf(HasSubstr("frames       9"), HasSubstr("640 x 480"), HasSubstr("no time stamps"),
+                                 HasSubstr("calibration  none"), HasSubstr("iris calibrate")));
+  const fs::path calibration = folder_->path() / "of_images.yaml", rectified = folder_->path() / "rectified_images";
+  ASSERT_EQ(calibrate(images(), "of_images.yaml", kTarget).exit_code, 0);
+  ASSERT_EQ(run_program(
+                {"rectify", images().string(), "-o", rectified.string(), "--session.calibration", calibration.string()})
+                .exit_code,
+            0);
+  EXPECT_FALSE(fs::exists(rectified / "times.txt"));
+  const auto again = run_program({"info", rectified.string()});
+  EXPECT_THAT(again.output, AllOf(HasSubstr("duration     unknown"), HasSubstr("recorded rectified")));
+  // One that was asked for and cannot be used is an error.
+  EXPECT_EQ(run_program({"info", images().string(), "--session.calibration", "missing.yaml"}).exit_code, 3);
+}
+
 TEST_F(CalibrateCli, EveryFormatAndFilesByName) {
   std::vector<std::string> arguments = {"calibrate"};
   for (const char* side : {"left", "right"}) {

@@ -41,6 +41,9 @@ class Session {
   // Time of the left image [ns], strictly ascending.
   virtual int64_t stamp_ns(int frame_idx) const = 0;
 
+  // False: nothing says when the frames were recorded, and those times follow from an assumed rate.
+  bool has_stamps() const { return has_stamps_; }
+
   // For people: the left image's file name; of videos the file's name and the frame's number in it.
   virtual std::string frame_name(int frame_idx) const = 0;
 
@@ -69,6 +72,7 @@ class Session {
   std::filesystem::path folder_;
   std::vector<std::string> notes_;
   std::string identity_;
+  bool has_stamps_ = true;
 };
 
 // Opens a recording; the first frame that can be read is compared with the calibration (of images; of videos the first

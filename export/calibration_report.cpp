@@ -109,29 +109,14 @@ std::string with_sigma(const calibrate::Parameter& p) {
   return fmt::format("{:.{}f}</td><td>± {:.{}f}", p.value, digits, p.sigma, digits);
 }
 
-constexpr const char* kStyle = R"(<style>
-body{font:15px/1.45 system-ui,sans-serif;color:#202020;max-width:1200px;margin:24px auto;padding:0 20px}
-h1{font-size:25px;margin:0 0 4px}h2{font-size:18px;margin:30px 0 8px;border-bottom:1px solid #ddd;padding-bottom:3px}
-table{border-collapse:collapse}td,th{padding:2px 12px 2px 0;text-align:right;font-variant-numeric:tabular-nums}
-td:first-child,th:first-child{text-align:left}th{color:#666;font-weight:600}
-.big{display:flex;flex-wrap:wrap;gap:12px;margin:14px 0}.big div{background:#f2f6f9;border-radius:6px;padding:9px 15px}
-.big b{display:block;font-size:21px}.warn{background:#fff3e4;border-left:4px solid #e69f00;padding:9px 16px;margin:12px 0}
-.good{background:#e9f6ef;border-left:4px solid #009e73;padding:9px 16px;margin:12px 0}
-.two{display:flex;flex-wrap:wrap;gap:24px;align-items:flex-start}figure{margin:0}figcaption{color:#666}img{max-width:100%}small,p.note{color:#666}
-.bad td{background:#fff3e4}</style>
-)";
-
 }  // namespace
 
 std::string calibration_report_html(const CalibrationReport& report) {
   const calibrate::StereoCalibrationResult& r = report.result;
   const double baseline = r.calibration.right_centre_in_left().norm();
-  std::string html =
-      "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Stereo calibration</title>\n";
-  html += std::string(kStyle) + "</head><body>\n<h1>Stereo calibration</h1>\n";
-  html += fmt::format("<p>{}, images of {} x {} px. {}.</p>\n", html::escape(report.target), r.calibration.left.width,
-                      r.calibration.left.height, html::escape(report.images));
-  html += "<div class=\"big\">";
+  std::string html = fmt::format("<p>{}, images of {} x {} px. {}.</p>\n", html::escape(report.target),
+                                 r.calibration.left.width, r.calibration.left.height, html::escape(report.images));
+  html += "<div class=big>";
   const auto big = [&](const std::string& value, const char* label) {
     html += fmt::format("<div><b>{}</b>{}</div>", value, label);
   };
@@ -141,14 +126,14 @@ std::string calibration_report_html(const CalibrationReport& report) {
   big(fmt::format("{:.2f} px", rectified_focal_length(r.calibration)), "focal length, rectified");
   html += "</div>\n";
   if (report.warnings.empty()) {
-    html += "<div class=\"good\">Nothing to complain about.</div>\n";
+    html += "<div class=good>Nothing to complain about.</div>\n";
   } else {
-    html += "<div class=\"warn\"><b>What to do better</b><ul>\n";
+    html += "<div class=warning><b>What to do better</b><ul>\n";
     for (const std::string& warning : report.warnings) html += "<li>" + html::escape(warning) + "</li>\n";
     html += "</ul></div>\n";
   }
 
-  html += "<h2>Errors</h2>\n<table>\n";
+  html += "<h2>Errors</h2>\n<table class=numbers>\n";
   html += row({"", "left", "right", "both"}, "th");
   html += row(
       {"views", fmt::format("{}", r.left_views), fmt::format("{}", r.right_views), fmt::format("{} pairs", r.pairs)});
@@ -170,17 +155,17 @@ std::string calibration_report_html(const CalibrationReport& report) {
       report.validation.corners, report.validation.pairs, pixels(report.validation.rms), pixels(report.validation.mean),
       pixels(report.validation.worst_pair));
 
-  html += "<h2>Residuals and coverage</h2>\n<div class=\"two\">\n";
+  html += "<h2>Residuals and coverage</h2>\n<div class=columns>\n";
   for (const bool left : {true, false}) {
     html += fmt::format("<figure>{}<figcaption>{} image: residuals {} times as long</figcaption></figure>\n",
                         residual_picture(report, left), left ? "Left" : "Right", kScale);
   }
   html +=
-      "</div>\n<p class=\"note\">Residuals that point the same way over parts of the image mean that the lens model "
+      "</div>\n<p>Residuals that point the same way over parts of the image mean that the lens model "
       "does not fit; without any order they are noise.</p>\n";
 
-  html += "<h2>Expected depth errors</h2>\n<div class=\"two\"><figure>" + depth_picture(report.depths) +
-          "</figure>\n<table>\n";
+  html += "<h2>Expected depth errors</h2>\n<div class=columns><figure>" + depth_picture(report.depths) +
+          "</figure>\n<table class=numbers>\n";
   html += row({"depth", "from this calibration", "from matching", "total"}, "th");
   const auto length = [](double metres) {
     return !std::isfinite(metres) ? std::string("-")
@@ -191,15 +176,15 @@ std::string calibration_report_html(const CalibrationReport& report) {
     html += row({fmt::format("{:.0f} m", d.depth), length(d.calibration), length(d.matching), length(d.total())});
   }
   html +=
-      "</table></div>\n<p class=\"note\">Standard deviations over the image. Errors from the calibration are the same "
+      "</table></div>\n<p>Standard deviations over the image. Errors from the calibration are the same "
       "in "
       "every frame of a recording; those from matching average out.</p>\n";
 
-  html += "<h2>Parameters and their standard deviations</h2>\n<div class=\"two\">\n";
+  html += "<h2>Parameters and their standard deviations</h2>\n<div class=columns>\n";
   const size_t per_camera = 4 + r.calibration.left.coefficients.size();
   for (const auto& [begin, end] : {std::pair(size_t{0}, per_camera), std::pair(per_camera, 2 * per_camera),
                                    std::pair(2 * per_camera, r.parameters.size())}) {
-    html += "<table>\n";
+    html += "<table class=numbers>\n";
     for (size_t i = begin; i < end; ++i) {
       html +=
           row({html::escape(r.parameters[i].name), with_sigma(r.parameters[i]), html::escape(r.parameters[i].unit)});
@@ -207,10 +192,10 @@ std::string calibration_report_html(const CalibrationReport& report) {
     html += "</table>\n";
   }
   html +=
-      "</div>\n<p class=\"note\">Rotation vector and translation take points of the left camera to the right one: "
+      "</div>\n<p>Rotation vector and translation take points of the left camera to the right one: "
       "P_right = R P_left + T.</p>\n";
 
-  html += "<h2>Views</h2>\n<table>\n";
+  html += "<h2>Views</h2>\n<table class=numbers>\n";
   html += row({"view", "corners left", "right", "RMS left", "right", "rows", "distance"}, "th");
   std::vector<double> worst;
   for (const auto& e : r.errors) worst.push_back(std::max(e.left_rms, e.right_rms));
@@ -227,10 +212,10 @@ std::string calibration_report_html(const CalibrationReport& report) {
              seen(view.left.size(), r.errors[v].left_rms), seen(view.right.size(), r.errors[v].right_rms),
              rows.empty() ? "-" : pixels(std::sqrt(sum / static_cast<double>(rows.size()))),
              fmt::format("{:.2f} m", r.left_from_grid[v].translation().z())});
-    if (worst[v] > 3 * sorted[sorted.size() / 2]) line.replace(0, 4, "<tr class=\"bad\">");
+    if (worst[v] > 3 * sorted[sorted.size() / 2]) line.replace(0, 4, "<tr class=bad>");
     html += line;
   }
-  return html + "</table>\n</body></html>\n";
+  return html::page("Stereo calibration", html + "</table>\n");
 }
 
 void write_calibration_report(const std::filesystem::path& path, const CalibrationReport& report) {

@@ -15,8 +15,17 @@ table { border-collapse: collapse; margin: .5rem 0; font-variant-numeric: tabula
 th, td { text-align: left; vertical-align: top; padding: .15rem .9rem .15rem 0; }
 tr + tr > * { border-top: 1px solid #8884; }
 .facts th { font-weight: 600; white-space: nowrap; }
+.big { display: flex; flex-wrap: wrap; gap: .75rem; margin: 1rem 0; }
+.big div { background: #8882; border-radius: .4rem; padding: .5rem 1rem; }
+.big b { display: block; font-size: 1.35rem; }
+.numbers td, .numbers th { text-align: right; }
+.numbers td:first-child, .numbers th:first-child { text-align: left; }
+.good { border-left: .3rem solid #009e73; padding: .3rem .8rem; background: #009e7318; }
 .warning { border-left: .3rem solid #d55e00; padding: .3rem .8rem; background: #d55e0018; }
 .rejected { opacity: .6; }
+.bad td { background: #d55e0018; }
+.columns { display: flex; flex-wrap: wrap; gap: 1.5rem; align-items: flex-start; }
+.columns img { width: auto; max-width: 100%; }
 .pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 30rem), 1fr)); gap: 1rem; }
 figure { margin: 0; }
 figure img, video { width: 100%; background: #fff; border: 1px solid #8886; }
@@ -61,12 +70,16 @@ std::string base64(std::span<const unsigned char> bytes) {
   return text;
 }
 
-std::string page(std::string_view title, std::string_view body) {
+std::string document(std::string_view title, std::string_view head, std::string_view body) {
   return fmt::format(
       "<!DOCTYPE html>\n<html lang=en>\n<head>\n<meta charset=utf-8>\n"
       "<meta name=viewport content=\"width=device-width, initial-scale=1\">\n"
-      "<title>{0}</title>\n<style>{1}</style>\n</head>\n<body>\n<h1>{0}</h1>\n{2}</body>\n</html>\n",
-      escape(title), kStyle, body);
+      "<title>{}</title>\n{}\n</head>\n<body>\n{}</body>\n</html>\n",
+      escape(title), head, body);
+}
+
+std::string page(std::string_view title, std::string_view body) {
+  return document(title, fmt::format("<style>{}</style>", kStyle), fmt::format("<h1>{}</h1>\n{}", escape(title), body));
 }
 
 std::string figure(std::string_view source, std::string_view caption) {

@@ -13,6 +13,9 @@ std::string escape(std::string_view text);
 // Bytes as they stand in a data: address (RFC 4648).
 std::string base64(std::span<const unsigned char> bytes);
 
+// The frame of every page. `title` is text, `head` (styles, scripts) and `body` are HTML.
+std::string document(std::string_view title, std::string_view head, std::string_view body);
+
 // A whole page with the project's style. `title` is text, `body` is HTML.
 std::string page(std::string_view title, std::string_view body);
 

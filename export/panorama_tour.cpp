@@ -27,23 +27,14 @@ using workspace::Workspace;
 
 constexpr const char* kServer = "https://cdn.jsdelivr.net/npm/pannellum@2.5.6/build/";
 
-constexpr const char* kPage = R"(<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>@TITLE@</title>
-@STYLE@
-<style>
+constexpr const char* kStyle = R"(<style>
 html, body { margin: 0; height: 100%; background: #202020; }
 #panorama { width: 100%; height: 100%; }
 #message { position: absolute; inset: 0; display: none; place-content: center; padding: 2em; text-align: center;
            font: 16px sans-serif; color: #fff; }
-</style>
-@SCRIPT@
-</head>
-<body>
-<div id="panorama"></div>
+</style>)";
+
+constexpr const char* kBody = R"(<div id="panorama"></div>
 <div id="message"></div>
 <script>
 "use strict";
@@ -67,8 +58,6 @@ if (typeof pannellum === "undefined") {
   window.viewer = pannellum.viewer("panorama", config);
 }
 </script>
-</body>
-</html>
 )";
 
 void replace(std::string& text, const std::string& what, const std::string& by) {
@@ -99,14 +88,11 @@ Pannellum read_pannellum(const fs::path& folder) {
 
 std::string page(const std::string& title, const json& config, const json& images, const std::string& style,
                  const std::string& script) {
-  std::string text = kPage;
-  // What is put in first is not searched again for the later ones: the large ones come last.
-  replace(text, "@TITLE@", html::escape(title));
-  replace(text, "@STYLE@", style);
-  replace(text, "@CONFIG@", in_script(config.dump(1)));
-  replace(text, "@IMAGES@", images.dump());
-  replace(text, "@SCRIPT@", script);
-  return text;
+  std::string body = kBody;
+  // What is put in first is not searched again for the later one: the large one comes last.
+  replace(body, "@CONFIG@", in_script(config.dump(1)));
+  replace(body, "@IMAGES@", images.dump());
+  return html::document(title, style + "\n" + kStyle + "\n" + script, body);
 }
 
 std::vector<Vector2d> places_of(const PanoramaRequest& request, const tour::FreeSpace& space,

@@ -1,7 +1,8 @@
-// usage: node serve.mjs scene.glb
-// Serves viewer.html, three.js and the scene on a free port of localhost. Prints the port, then what the viewer reports.
+// usage: node serve.mjs scene.glb picture.png
+// Serves viewer.html, three.js and the scene on a free port of localhost, and writes the picture that the viewer sends.
+// Prints the port, then what the viewer reports.
 import { createServer } from "node:http";
-import { readFileSync } from "node:fs";
+import { readFileSync, writeFileSync } from "node:fs";
 import { dirname, extname, join, normalize } from "node:path";
 import { fileURLToPath } from "node:url";
 
@@ -13,6 +14,15 @@ const server = createServer((request, response) => {
   if (path === "/report") {
     console.log(url.searchParams.get("text"));
     response.writeHead(204).end();
+    return;
+  }
+  if (path === "/picture" && request.method === "POST") {
+    const parts = [];
+    request.on("data", (part) => parts.push(part));
+    request.on("end", () => {
+      writeFileSync(process.argv[3], Buffer.concat(parts));
+      response.writeHead(204).end();
+    });
     return;
   }
   try {

@@ -52,7 +52,7 @@ void PanoramaOptions::declare(OptionSet& set) {
   set.add("reach", reach, "m", 0.01, 10000,
           "Longest link between panoramas that see each other; those that could not be reached so are linked to the "
           "nearest, however far.");
-  set.add("sources", sources, "", 1, 255, "Stored views that a panorama is made from.");
+  set.add("sources", sources, "", 1, 32, "Stored views that a panorama is made from.");
 }
 
 std::vector<Vector2d> panorama_places(const FreeSpace& space, const std::vector<PoseNode>& nodes,

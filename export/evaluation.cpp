@@ -406,6 +406,8 @@ class OutputFolder {
                  "1"});
     f.push_back({"part_nees_median", "NEES of these motions, median (5.35 expected)", between.median, "1"});
     f.push_back({"part_length", "mean length of these motions", way, "m"});
+    f.push_back({"error_ratio", "true errors / stated ones, of these motions (median)",
+                 std::sqrt(between.median / evaluate::chi_squared_quantile(0.5, 6)), "1"});
   }
 
   // The poses as motions from the first camera of their sub-map: what their covariances are stated against.

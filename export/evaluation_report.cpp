@@ -88,6 +88,7 @@ std::string Evaluation::summary() const {
                              {"map", "occupied_recall", "map recall"},
                              {"image", "psnr", "PSNR"},
                              {"image", "ssim", "SSIM"}};
+  constexpr double kDisagree = 2;  // times
   std::vector<std::string> parts;
   for (const Item& item : kItems) {
     for (const FigureSection& section : sections) {
@@ -95,6 +96,13 @@ std::string Evaluation::summary() const {
       for (const Figure& figure : section.figures) {
         if (figure.name == item.figure) parts.push_back(fmt::format("{} {}", item.words, value_text(figure)));
       }
+    }
+  }
+  for (const FigureSection& section : sections) {
+    for (const Figure& figure : section.figures) {
+      if (section.name != "trajectory" || figure.name != "error_ratio") continue;
+      if (figure.value < kDisagree && figure.value > 1 / kDisagree) continue;
+      parts.push_back(fmt::format("the path's errors are {:.2g} times the stated ones", figure.value));
     }
   }
   return fmt::format("{}", fmt::join(parts, ", "));

@@ -243,6 +243,18 @@ TEST_F(EvaluationTest, TheTextBeginsWithTheMostImportantFiguresAndFitsATerminal)
   EXPECT_EQ(longer, 1u);  // a word is never broken
 }
 
+TEST_F(EvaluationTest, TheFirstLineSaysWhenStatedErrorsAreWrong) {
+  const auto summary = [](double ratio) {
+    Evaluation evaluation;
+    evaluation.sections.push_back({.name = "trajectory", .figures = {{"error_ratio", "", ratio, "1"}}});
+    return evaluation.summary();
+  };
+  EXPECT_EQ(summary(1.5), "");
+  EXPECT_EQ(summary(0.7), "");
+  EXPECT_EQ(summary(9), "the path's errors are 9 times the stated ones");
+  EXPECT_EQ(summary(0.3), "the path's errors are 0.3 times the stated ones");
+}
+
 TEST_F(EvaluationTest, WhatWasNotComparedIsNoFigure) {
   // An estimate without a single valid pixel has no sub-pixel error; a map without occupied cells no precision.
   const fs::path truth = image("t.png", cv::Mat1w(20, 30, uint16_t{10 * 256}));

@@ -278,6 +278,12 @@ class OutputFolder {
   // Line i of KITTI's poses is frame i of the run.
   Trajectory kitti_truth(const fs::path& path, const std::string& text) const {
     const std::vector<std::optional<Pose>> poses = evaluate::parse_kitti(text, path);
+    if (!stamps_.empty() && poses.size() <= static_cast<size_t>(stamps_.rbegin()->first)) {
+      throw InputError(path,
+                       fmt::format("has {} lines, the session of {} has {} frames at least", poses.size(),
+                                   request_.estimate.string(), stamps_.rbegin()->first + 1),
+                       "give the truth of the session that was reconstructed: a line for each of its frames");
+    }
     Trajectory truth;
     for (const auto& [frame_idx, stamp] : stamps_) {
       const auto i = static_cast<size_t>(frame_idx);

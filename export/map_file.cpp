@@ -152,7 +152,8 @@ MapRaster layer_raster(const MapRaster& map, int layer) {
   raster.M = map.layer_M[k];
   raster.U = map.layer_U[k];
   raster.state = map.layer_state[k];
-  raster.known = raster.state != static_cast<uint8_t>(mapping::MapState::unknown);
+  // Into new memory: assigned as an expression it would go into what the whole map's `known` still uses.
+  raster.known = cv::Mat1b(raster.state != static_cast<uint8_t>(mapping::MapState::unknown));
   return raster;
 }
 

@@ -78,6 +78,10 @@ std::string time_text(const Facts& facts) {
 std::vector<std::string> warnings_of(const Workspace& workspace, const Facts& facts) {
   std::vector<std::string> warnings;
   const pipeline::FramesSummary& summary = facts.summary;
+  if (!summary.rows_text.empty()) warnings.push_back("The " + summary.rows_text + ".");
+  if (const workspace::CalibrationRecord calibration = workspace.calibration(); calibration.is_wrong) {
+    warnings.push_back("The calibration does not fit this recording: " + calibration.text + ".");
+  }
   if (summary.submaps > 1) {
     warnings.push_back(
         fmt::format("The path broke into {} sub-maps whose relation is unknown. All are kept; map, octree and tour "
@@ -109,7 +113,7 @@ std::string figures_table(const Workspace& workspace, const Facts& facts) {
   row("Frames", fmt::format("{} of {} with a pose, {} stored as views", summary.posed, summary.frames, summary.views));
   row("Camera", fmt::format("{} x {} px rectified, f {:.1f} px, baseline {:.1f} mm", facts.camera.width,
                             facts.camera.height, facts.camera.f, 1000 * facts.camera.baseline));
-  if (const std::string text = workspace.calibration(); !text.empty()) row("Calibration", text);
+  if (const std::string text = workspace.calibration().text; !text.empty()) row("Calibration", text);
   row("Path", fmt::format("{:.2f} m", summary.path_length));
   const int accepted =
       static_cast<int>(std::count_if(facts.loops.begin(), facts.loops.end(), [](const LoopRecord& loop) {

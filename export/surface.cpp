@@ -302,7 +302,7 @@ TriangleMesh surface_of(const PointCloud& cloud, const MeshOptions& options, con
   }
   drop_small_parts(mesh, options.min_part);
   mesh.name = "surface";
-  spdlog::info("mesh: {} triangles, {} vertices, cubes of {} m", mesh.triangles.size(), mesh.vertices.size(), cell);
+  spdlog::info("mesh: {} triangles, {} vertices, cubes of {:.3g} m", mesh.triangles.size(), mesh.vertices.size(), cell);
   return mesh;
 }
 

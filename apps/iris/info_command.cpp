@@ -122,10 +122,11 @@ void print_output(const workspace::Workspace& workspace) {
   fmt::print("session      {}\n", workspace.session_folder());
   fmt::print("frames       {}: {} with a pose, {} unreadable, {} that show too little, {} sub-map{}\n", summary.frames,
              summary.posed, summary.unreadable, summary.blind, summary.submaps, summary.submaps == 1 ? "" : "s");
+  if (!summary.rows_text.empty()) fmt::print("warning      {}\n", summary.rows_text);
   if (const std::string text = summary.too_near_text(); !text.empty()) fmt::print("warning      {}\n", text);
   fmt::print("path         {:.3f} m\n", summary.path_length);
   fmt::print("views        {}\n", summary.views);
-  if (const std::string text = workspace.calibration(); !text.empty()) fmt::print("calibration  {}\n", text);
+  if (const std::string text = workspace.calibration().text; !text.empty()) fmt::print("calibration  {}\n", text);
   for (const workspace::WorldRecord& world : workspace.worlds()) {
     fmt::print("up           sub-map {}: {}\n", world.submap, world.alignment);
   }

@@ -87,7 +87,8 @@ int run(Measure& state) {
                  distance, options.radius);
     }
   }
-  fmt::print("distance  {:.3f} ± {:.3f} m{}\n", m.distance, m.sigma, m.in_plan ? ", horizontal" : "");
+  const int digits = m.sigma < 0.002 ? 4 : 3;
+  fmt::print("distance  {:.{}f} ± {:.{}f} m{}\n", m.distance, digits, m.sigma, digits, m.in_plan ? ", horizontal" : "");
   fmt::print(
       "          reconstruction ± {:.4f} m, {}\n", m.reconstruction,
       m.a.frame_idx == m.b.frame_idx ? "one view sees both" : fmt::format("path between the views ± {:.4f} m", m.path));

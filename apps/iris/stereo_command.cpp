@@ -135,13 +135,19 @@ int run(Stereo& state) {
     if (!state.ply.empty()) {
       write_file(state.ply, stereo::encode_ply(image, pair.left_colour, camera, DisparityOrigin::within_segment));
     }
+    const double measured = 100.0 *
+                            cv::countNonZero((image.origin == uint8_t(DisparityOrigin::measured)) |
+                                             (image.origin == uint8_t(DisparityOrigin::corrected))) /
+                            image.origin.total();
     spdlog::info("{}: {} disparities searched, {:.1f} % of the pixels measured, {:.1f} % filled", state.out,
-                 options.disparities,
-                 100.0 *
-                     cv::countNonZero((image.origin == uint8_t(DisparityOrigin::measured)) |
-                                      (image.origin == uint8_t(DisparityOrigin::corrected))) /
-                     image.origin.total(),
+                 options.disparities, measured,
                  100.0 * cv::countNonZero(image.origin > uint8_t(DisparityOrigin::corrected)) / image.origin.total());
+    constexpr double kLeast = 10;  // [%] rectified images of textured places have 40 to 80
+    if (measured < kLeast) {
+      spdlog::warn(
+          "hardly anything matches: are these images rectified, in this order (left, then right), and is the search "
+          "range large enough?");
+    }
   });
   return kGood;
 }

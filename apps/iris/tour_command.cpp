@@ -115,7 +115,10 @@ int run(Tour& state) {
           workspace, state.arguments.options,
           {.output = request.output, .at = request.at, .preview = request.preview, .pannellum = state.pannellum},
           state.arguments.control());
-      spdlog::info("{}: {} panoramas", state.output, nodes);
+      spdlog::info("{}: {} panorama{}", state.output, nodes, nodes == 1 ? "" : "s");
+      if (state.pannellum.empty()) {
+        spdlog::info("the page loads its viewer from the network; with --pannellum DIR it brings it along");
+      }
       return;
     }
     const exporters::TourResult result =

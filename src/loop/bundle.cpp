@@ -936,6 +936,7 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
     if (free(k) != 0) estimates[k]->value = state.calibration(k);
   }
   result.calibration.words = words_of(result.calibration, camera, median_disparity(landmarks));
+  for (const Estimated* estimate : estimates) result.calibration.is_wrong |= estimate->off && !estimate->applied;
   result.camera.disparity_offset += state.calibration(0);
   result.camera.f *= 1 + state.calibration(1);
   const Adjuster::Errors after = adjuster.errors(state);

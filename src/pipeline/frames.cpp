@@ -16,6 +16,7 @@
 #include "iris/evaluate/formats.h"
 #include "iris/motion/chain.h"
 #include "iris/motion/motion_picture.h"
+#include "iris/rectify/row_check.h"
 #include "iris/stereo/search_range.h"
 
 namespace iris::pipeline {
@@ -23,6 +24,7 @@ namespace {
 
 constexpr const char* kFramesFingerprint = "frames.fingerprint";
 constexpr const char* kDisparities = "stereo.disparities";
+constexpr const char* kRows = "rectify.rows";
 
 // Part of a frame's measured pixels at the end of the search range from which on something nearer was probably missed.
 constexpr double kMaxAtLimit = 0.02;
@@ -78,9 +80,36 @@ class FrameStream {
   rectify::Rectifier rectifier_;
 };
 
+// Whether the rows of the images correspond, as everything after rectification takes for granted: empty if they do, or
+// if too little is seen to tell.
+std::string rows_text(const std::vector<StereoPair>& pairs) {
+  const rectify::RowCheckOptions options;
+  std::vector<std::vector<rectify::RowMatch>> found(pairs.size());
+  parallel_chunks(0, static_cast<int>(pairs.size()), 1, [&](int begin, int end) {
+    for (int i = begin; i < end; ++i) {
+      found[static_cast<size_t>(i)] = rectify::match_rows(pairs[static_cast<size_t>(i)], options);
+    }
+  });
+  std::vector<rectify::RowMatch> matches;
+  for (const auto& of_pair : found) matches.insert(matches.end(), of_pair.begin(), of_pair.end());
+  const rectify::RowCheck check =
+      rectify::check_rows(matches, pairs.front().left.cols, pairs.front().left.rows, options);
+  if (!check.enough || check.fits) return "";
+  return fmt::format(
+      "calibration does not fit this recording: rows that should correspond are {:.1f} px apart (RMS over the image, "
+      "{:g} px are tolerable); see 'iris rectify SESSION --check'",
+      check.systematic, options.tolerance);
+}
+
+// What is found out before the first frame.
+struct Preparation {
+  int disparities = 0;
+  std::string rows_text;
+};
+
 // Looks at frames spread over the session. Throws if none of them can be read: then it is the session that is wrong,
 // not a frame.
-int find_disparities(const session::Session& session, const Options& options) {
+Preparation prepare(const session::Session& session, const Options& options) {
   constexpr int kSamples = 12;
   const rectify::Rectifier rectifier(session.calibration());
   const int samples = std::min(kSamples, session.size());
@@ -112,11 +141,14 @@ int find_disparities(const session::Session& session, const Options& options) {
     throw InputError(session.folder(), fmt::format("none of {} frames looked at can be used; {}", samples, errors[0]),
                      "check the images and the calibration");
   }
-  if (options.stereo.disparities > 0) return options.stereo.disparities;
+  Preparation preparation{.disparities = options.stereo.disparities, .rows_text = rows_text(readable)};
+  if (!preparation.rows_text.empty()) spdlog::warn("the {}", preparation.rows_text);
+  if (preparation.disparities > 0) return preparation;
   const stereo::SearchRange range = stereo::estimate_search_range(readable, options.stereo);
   spdlog::info("search range: {} disparities, found from {} frames; {:.1f} % of their matches are nearer than that",
                range.disparities, readable.size(), 100 * range.beyond);
-  return range.disparities;
+  preparation.disparities = range.disparities;
+  return preparation;
 }
 
 // The last frames and what their motions refer to, ascending.
@@ -196,7 +228,9 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
                                     const std::string& fingerprint) {
   if (workspace.value(kFramesFingerprint) != fingerprint) {
     workspace.clear_frames();
-    workspace.set_value(kDisparities, std::to_string(find_disparities(session, options)));
+    const Preparation preparation = prepare(session, options);
+    workspace.set_value(kRows, preparation.rows_text);
+    workspace.set_value(kDisparities, std::to_string(preparation.disparities));
     workspace.set_value(kFramesFingerprint, fingerprint);
   }
   const FrameStream stream(session, options, std::stoi(*workspace.value(kDisparities)), known.empty());
@@ -327,7 +361,9 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
         session.folder(),
         fmt::format("none of its {} frames has a pose: {} cannot be read, {} show too little (dark, covered or bare)",
                     summary.frames, summary.unreadable, summary.blind),
-        "look at its pictures and at the log, which says why for each");
+        "look at its pictures and at the log, which says why for each; if they are good, left and right are exchanged "
+        "or "
+        "the calibration is that of another camera");
   }
   return {};
 }
@@ -408,6 +444,7 @@ FramesSummary summarise_frames(const workspace::Workspace& workspace, workspace:
   }
   summary.views = workspace.view_count();
   if (const auto text = workspace.value(kDisparities)) summary.disparities = std::stoi(*text);
+  summary.rows_text = workspace.value(kRows).value_or("");
   return summary;
 }
 

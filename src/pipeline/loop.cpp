@@ -109,11 +109,14 @@ void adjust(workspace::RefinedPath& path, const loop::RefinedGraph& refined, con
   }
   spdlog::info("bundle adjustment: {} views, {} points, {:.3f} px before, {:.3f} px after", result.views, result.points,
                result.rms_before, result.rms_after);
-  if (!result.calibration.words.empty()) spdlog::info("calibration: {}", result.calibration.words);
+  if (!result.calibration.words.empty()) {
+    spdlog::log(result.calibration.is_wrong ? spdlog::level::warn : spdlog::level::info, "calibration: {}",
+                result.calibration.words);
+  }
   path.nodes = result.nodes;
   for (size_t i = 0; i < path.nodes.size(); ++i) path.nodes[i].covariance = result.covariance[i];
   path.camera = result.camera;
-  path.calibration = result.calibration.words;
+  path.calibration = {.text = result.calibration.words, .is_wrong = result.calibration.is_wrong};
 }
 
 std::vector<std::string> run_loop(const Options& options, workspace::Workspace& workspace, const RunControl& control) {

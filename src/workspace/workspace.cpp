@@ -43,7 +43,8 @@ CREATE TABLE IF NOT EXISTS world  (submap INTEGER PRIMARY KEY, floor_found INTEG
                                    up_guessed INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS sigma (odometry REAL NOT NULL, loop REAL NOT NULL);
 CREATE TABLE IF NOT EXISTS camera (f REAL NOT NULL, cx REAL NOT NULL, cy REAL NOT NULL, baseline REAL NOT NULL,
-                                   disparity_offset REAL NOT NULL, calibration TEXT NOT NULL);
+                                   disparity_offset REAL NOT NULL, calibration TEXT NOT NULL,
+                                   calibration_is_wrong INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS loop   (i INTEGER NOT NULL, j INTEGER NOT NULL, i_from_j BLOB NOT NULL, covariance BLOB NOT NULL,
                                    used INTEGER NOT NULL, consistent INTEGER NOT NULL, motion INTEGER NOT NULL,
                                    rms_px REAL NOT NULL, score REAL NOT NULL, source INTEGER NOT NULL,
@@ -421,8 +422,9 @@ void Workspace::set_refined(const RefinedPath& path) {
   db.run("DELETE FROM refined; DELETE FROM world; DELETE FROM camera; DELETE FROM loop; DELETE FROM sigma");
   Statement(db, "INSERT INTO sigma VALUES (?1, ?2)").bind(path.odometry_sigma, path.loop_sigma).step();
   const RectifiedCamera& c = path.camera;
-  Statement(db, "INSERT INTO camera VALUES (?1, ?2, ?3, ?4, ?5, ?6)")
-      .bind(c.f, c.cx, c.cy, c.baseline, c.disparity_offset, path.calibration)
+  Statement(db, "INSERT INTO camera VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")
+      .bind(c.f, c.cx, c.cy, c.baseline, c.disparity_offset, path.calibration.text,
+            static_cast<int>(path.calibration.is_wrong))
       .step();
   for (const PoseNode& node : path.nodes) {
     Statement(db, "INSERT INTO refined VALUES (?1, ?2, ?3, ?4)")
@@ -493,9 +495,10 @@ std::vector<WorldRecord> Workspace::worlds() const {
   return worlds;
 }
 
-std::string Workspace::calibration() const {
-  Statement select(impl_->database, "SELECT calibration FROM camera");
-  return select.step() ? select.text(0) : std::string();
+CalibrationRecord Workspace::calibration() const {
+  Statement select(impl_->database, "SELECT calibration, calibration_is_wrong FROM camera");
+  if (!select.step()) return {};
+  return {.text = select.text(0), .is_wrong = select.integer(1) != 0};
 }
 
 PoseGraph Workspace::pose_graph(Poses poses) const {

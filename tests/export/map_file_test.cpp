@@ -172,6 +172,8 @@ TEST_F(MapFileTest, LayersAreMapsOfTheirOwnInTheSamePlace) {
   const MapRaster whole = mapping::rasterise(all.map(), options);
   std::vector<MapRaster> layers;
   for (int k = 0; k < 3; ++k) layers.push_back(layer_raster(whole, k));
+  // Taking a layer out leaves the whole map as it was.
+  EXPECT_EQ(cv::countNonZero(whole.known), cv::countNonZero(whole.state));
   const MapRaster expected = mapping::rasterise(middle.map(), of_middle);
   EXPECT_GT(cv::countNonZero(expected.state == static_cast<uint8_t>(MapState::occupied)), 100);
 

@@ -46,11 +46,12 @@ struct Estimated {
 struct CalibrationCorrection {
   Estimated disparity_offset;  // [px] to be added to measured disparities (RectifiedCamera::disparity_offset)
   Estimated focal;             // the focal length is larger by this part
-  Estimated slope;    // slope * (y - cy) is to be added as well: [rad] a turn of the right camera about its optical
-                      // axis, which tilts its rows as well, or a shear that rectification without knowledge
-                      // of the lenses leaves, which does not. Never applied, since all disparities would
-                      // change: calibrate again
-  std::string words;  // for people; empty: too few views to tell
+  Estimated slope;        // slope * (y - cy) is to be added as well: [rad] a turn of the right camera about its optical
+                          // axis, which tilts its rows as well, or a shear that rectification without knowledge
+                          // of the lenses leaves, which does not. Never applied, since all disparities would
+                          // change: calibrate again
+  std::string words;      // for people; empty: too few views to tell
+  bool is_wrong = false;  // something is off that is not corrected
 };
 
 struct BundleResult {

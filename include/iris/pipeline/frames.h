@@ -3,6 +3,7 @@
 
 #include <filesystem>
 #include <optional>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -29,12 +30,13 @@ Stage frames_stage(const session::Session& session, const Options& options, Know
 
 // What the stages after `frames` and the reports need to know of it.
 struct FramesSummary {
-  int frames = 0;       // in the session
-  int posed = 0;        // with a pose
-  int unreadable = 0;   // skipped: the image files are damaged
-  int blind = 0;        // skipped: they show too little to be placed
-  int too_near = 0;     // show surfaces that are probably nearer than the search range reaches
-  int disparities = 0;  // of the search range
+  int frames = 0;         // in the session
+  int posed = 0;          // with a pose
+  int unreadable = 0;     // skipped: the image files are damaged
+  int blind = 0;          // skipped: they show too little to be placed
+  int too_near = 0;       // show surfaces that are probably nearer than the search range reaches
+  int disparities = 0;    // of the search range
+  std::string rows_text;  // where rows of the rectified images do not correspond, in a sentence; empty if they do
   int submaps = 0;
   int largest_submap = 0;  // the one with most poses (the first of several)
   int views = 0;

@@ -55,6 +55,12 @@ struct WorldRecord {
   std::string guess_text() const;
 };
 
+// What the recording told about its calibration.
+struct CalibrationRecord {
+  std::string text;       // for people; empty = nothing could be told
+  bool is_wrong = false;  // and nothing could be done about it
+};
+
 // The path after loop closure and refinement.
 struct RefinedPath {
   std::vector<PoseNode> nodes;      // of all frames with a pose, in their order; worlds are z up
@@ -62,8 +68,8 @@ struct RefinedPath {
   std::vector<LoopRecord> loops;
   // [times] by which errors of odometry and of loops are larger than their covariances say (loop::RefinedGraph).
   double odometry_sigma = 1, loop_sigma = 1;
-  RectifiedCamera camera;   // of all views, with what the recording told about its calibration
-  std::string calibration;  // what that was, for people; empty = nothing could be told
+  RectifiedCamera camera;  // of all views, with what the recording told about its calibration
+  CalibrationRecord calibration;
 };
 
 // Which poses: those that motions chained give, in the frame of each sub-map's first camera, or those of the loop
@@ -121,7 +127,7 @@ class Workspace {
   void set_refined(const RefinedPath& path);
   std::vector<LoopRecord> loops() const;
   std::vector<WorldRecord> worlds() const;
-  std::string calibration() const;  // RefinedPath::calibration; empty before the loop stage
+  CalibrationRecord calibration() const;  // of the loop stage; empty before it
 
   // Poses of all frames that have one with their odometry edges and, of the refined path, its accepted loops; edges of
   // the refined path state the errors that the loop stage found them to have.

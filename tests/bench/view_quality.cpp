@@ -13,6 +13,7 @@
 
 #include "bench/bench.h"
 #include "bench/inputs.h"
+#include "iris/core/atomic_file.h"
 #include "iris/core/error.h"
 #include "iris/evaluate/images.h"
 #include "iris/rectify/rectifier.h"
@@ -117,7 +118,7 @@ std::vector<int> all_frames(const Recording& recording) {
 
 // Of a simulated session.
 int seed_of(const fs::path& folder) {
-  const std::string text = text_of(folder / "truth/options.toml"), name = "\nseed = ";
+  const std::string text = read_file(folder / "truth/options.toml"), name = "\nseed = ";
   const size_t at = text.find(name);
   IRIS_CHECK(at != std::string::npos);
   return std::stoi(text.substr(at + name.size()));

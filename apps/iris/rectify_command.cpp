@@ -91,8 +91,8 @@ int check_calibration(Rectify& state, const session::Session& session) {
   if (check.fits) {
     fmt::print(
         "the calibration fits this recording (tolerance {:g} px), as far as rows tell: a turn about the vertical axis, "
-        "wrong focal lengths "
-        "and sheared images shift points along their rows only; 'iris run' estimates these (its line 'calibration')\n",
+        "wrong focal lengths and sheared images shift points along their rows only; 'iris run' estimates these (its "
+        "line 'calibration')\n",
         options.tolerance);
   } else {
     fmt::print("the calibration does not fit this recording any more (tolerance {:g} px): {}\n", options.tolerance,

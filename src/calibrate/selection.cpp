@@ -4,15 +4,10 @@
 #include <tuple>
 
 #include "iris/calibrate/stereo.h"
+#include "iris/core/median.h"
 
 namespace iris::calibrate {
 namespace {
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 // Mean distance [px] between the corners that both show; infinite if they are different ones.
 double change(const Corners& a, const Corners& b) {

@@ -15,6 +15,7 @@
 #include <opencv2/calib3d.hpp>
 
 #include "iris/core/error.h"
+#include "iris/core/median.h"
 
 namespace iris::calibrate {
 namespace {
@@ -475,12 +476,6 @@ class JointProblem {
   std::unique_ptr<ceres::LossFunctionWrapper> loss_;
   std::unique_ptr<ceres::Problem> problem_;
 };
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 // [px] of one coordinate of a corner, from the median of the errors: gross ones do not count.
 double corner_sigma(const JointProblem& joint) {

@@ -13,6 +13,7 @@
 #include <random>
 
 #include "iris/core/error.h"
+#include "iris/core/median.h"
 #include "iris/core/parallel.h"
 #include "iris/reconstruct/error_propagation.h"
 
@@ -79,12 +80,6 @@ std::vector<Piece> pieces_of(const StereoView& view, const Pose& world_from_cam)
     }
   }
   return pieces;
-}
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 struct Surfaces {

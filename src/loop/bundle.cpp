@@ -18,6 +18,7 @@
 
 #include "block_cholesky.h"
 #include "iris/core/error.h"
+#include "iris/core/median.h"
 #include "iris/core/parallel.h"
 #include "iris/loop/candidates.h"
 #include "iris/loop/pose_graph.h"
@@ -371,12 +372,6 @@ struct Group {
   std::vector<std::pair<int, int>> pairs;  // of places in `views`, that see a landmark together
   std::vector<int> pair_slots;             // of these in the reduced matrix
 };
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 class Adjuster {
  public:
@@ -746,9 +741,7 @@ double median_disparity(const std::vector<Landmark>& landmarks) {
   for (const Landmark& landmark : landmarks) {
     for (const Observation& at : landmark.observations) disparities.push_back(at.seen.x() - at.seen.z());
   }
-  const auto middle = disparities.begin() + static_cast<std::ptrdiff_t>(disparities.size() / 2);
-  std::nth_element(disparities.begin(), middle, disparities.end());
-  return *middle;
+  return median(std::move(disparities));
 }
 
 // What is off, about which axis, and what it does to distances; of the rest the numbers alone. `disparity`: [px] that
@@ -757,7 +750,6 @@ std::string words_of(const CalibrationCorrection& c, const RectifiedCamera& came
   constexpr double kDegrees = 180 / M_PI;
   const double depth = camera.f * camera.baseline / disparity;
   std::vector<std::string> parts;
-  bool again = false;
   if (const Estimated& e = c.disparity_offset; e.told) {
     std::string part = fmt::format("disparity offset {:+.2f} ± {:.2f} px", e.value, e.sigma);
     if (e.applied) {
@@ -765,10 +757,8 @@ std::string words_of(const CalibrationCorrection& c, const RectifiedCamera& came
     } else if (e.off) {
       part += fmt::format(
           ", not corrected: as if the right camera were turned by {:.2f} deg about the vertical axis, distances of "
-          "{:.1f} "
-          "m wrong by {:.1f} %",
+          "{:.1f} m wrong by {:.1f} %",
           kDegrees * std::abs(e.value) / camera.f, depth, 100 * std::abs(e.value) / disparity);
-      again = true;
     }
     parts.push_back(part);
   }
@@ -778,7 +768,6 @@ std::string words_of(const CalibrationCorrection& c, const RectifiedCamera& came
       part += ", corrected";
     } else if (e.off) {
       part += fmt::format(", not corrected: distances wrong by {:.1f} %", 100 * std::abs(e.value));
-      again = true;
     }
     parts.push_back(part);
   }
@@ -793,12 +782,11 @@ std::string words_of(const CalibrationCorrection& c, const RectifiedCamera& came
           "optical axis; if not, the images were rectified with lenses that are not theirs",
           depth, 100 * std::abs(e.value) * border / disparity, std::abs(e.value) * camera.width / 2,
           kDegrees * std::abs(e.value));
-      again = true;
     }
     parts.push_back(part);
   }
   if (parts.empty()) return "this recording does not tell whether it fits";
-  return fmt::format("{}{}", fmt::join(parts, "; "), again ? ": calibrate again" : "");
+  return fmt::format("{}{}", fmt::join(parts, "; "), c.is_wrong ? ": calibrate again" : "");
 }
 
 // The poses of all nodes from those of the views, see BundleResult.
@@ -935,8 +923,8 @@ BundleResult bundle(const RefinedGraph& refined, const std::vector<int>& view_fr
   for (int k = 0; k < kCalibration; ++k) {
     if (free(k) != 0) estimates[k]->value = state.calibration(k);
   }
-  result.calibration.words = words_of(result.calibration, camera, median_disparity(landmarks));
   for (const Estimated* estimate : estimates) result.calibration.is_wrong |= estimate->off && !estimate->applied;
+  result.calibration.words = words_of(result.calibration, camera, median_disparity(landmarks));
   result.camera.disparity_offset += state.calibration(0);
   result.camera.f *= 1 + state.calibration(1);
   const Adjuster::Errors after = adjuster.errors(state);

@@ -15,6 +15,7 @@
 
 #include "block_cholesky.h"
 #include "iris/core/error.h"
+#include "iris/core/median.h"
 #include "iris/core/parallel.h"
 #include "iris/loop/twist.h"
 #include "iris/motion/minimise.h"
@@ -426,13 +427,6 @@ class GraphProblem {
   ceres::Problem problem_;
 };
 
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 // An edge to first order, as it counts.
 struct LinearEdge {
   EdgeJacobians by;
@@ -504,8 +498,9 @@ class Linearised {
       const double variance = (kPrior * prior * prior + sigma * sigma * square) / (kPrior + redundancy);
       return std::max(1.0, std::sqrt(variance));
     };
+    const double of_loop = of_loops.empty() ? 0 : median(of_loops) / kMedian;
     return {.odometry = estimate(before.odometry, odometry_square, odometry_redundancy),
-            .loop = estimate(before.loop, loop_redundancy * median(of_loops) / kMedian, loop_redundancy)};
+            .loop = estimate(before.loop, loop_redundancy * of_loop, loop_redundancy)};
   }
 
  private:
@@ -621,8 +616,8 @@ RefinedGraph refine(const PoseGraph& graph, const LoopOptions& options, const st
   Solution solution = settle(links, inside, unknowns, fits, poses, std::max(phi, largest), options, stopped);
   int iterations = solution.iterations;
   if (solution.fits != fits) {
-    Solution second =
-        settle(links, inside, unknowns, fits, poses, std::max(phi, 4 * median(of_loops)), options, stopped);
+    const double typical = of_loops.empty() ? 0 : median(of_loops);
+    Solution second = settle(links, inside, unknowns, fits, poses, std::max(phi, 4 * typical), options, stopped);
     iterations += second.iterations;
     if (second.cost < solution.cost) solution = std::move(second);
   }

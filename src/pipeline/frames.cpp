@@ -362,8 +362,7 @@ std::vector<std::string> run_frames(const session::Session& session, const Optio
         fmt::format("none of its {} frames has a pose: {} cannot be read, {} show too little (dark, covered or bare)",
                     summary.frames, summary.unreadable, summary.blind),
         "look at its pictures and at the log, which says why for each; if they are good, left and right are exchanged "
-        "or "
-        "the calibration is that of another camera");
+        "or the calibration is that of another camera");
   }
   return {};
 }

@@ -9,19 +9,13 @@
 #include <opencv2/imgproc.hpp>
 
 #include "iris/core/error.h"
+#include "iris/core/median.h"
 #include "iris/rectify/rectifier.h"
 
 namespace iris::rectify {
 namespace {
 
 constexpr int kHalf = 7;  // of the comparison window
-
-double median(std::vector<double> values) {
-  if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 // Vertex of the parabola through three values at -1, 0, 1.
 double vertex(double a, double b, double c) {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "iris/core/median.h"
 #include "iris/tour/frames.h"
 
 namespace iris::tour {
@@ -23,12 +24,6 @@ std::vector<int> some_views(const views::ViewStore& store, int submap, size_t mo
   std::vector<int> chosen;
   for (size_t k = 0; k < count; ++k) chosen.push_back(views[k * views.size() / count]);
   return chosen;
-}
-
-double median(std::vector<double>& values) {
-  const auto middle = values.begin() + static_cast<ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 // A view with every 8th pixel of its disparities.

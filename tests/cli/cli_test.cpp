@@ -587,6 +587,16 @@ TEST_F(Cli, EvaluateComparesARunWithTheTruth) {
                            "disparity_histogram.svg", "map_errors.png"}) {
     EXPECT_TRUE(fs::exists(plots / file)) << file;
   }
+  // A path alone finds its truth in the session as well.
+  const auto of_file = run_program(
+      {"evaluate", (reference() / "trajectory/tum.txt").string(), "--truth", truth.string(), "--json", "-"});
+  ASSERT_EQ(of_file.exit_code, 0) << of_file.output;
+  EXPECT_EQ(nlohmann::json::parse(of_file.output)["trajectory"]["ate_rmse"], figures["trajectory"]["ate_rmse"]);
+  // KITTI's truth has a line for each frame; fewer are of another session.
+  write_file(truth / "short.txt", std::string("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 1\n"));
+  const auto of_short = run_program({"evaluate", reference().string(), "--truth", (truth / "short.txt").string()});
+  EXPECT_EQ(of_short.exit_code, 3);
+  EXPECT_THAT(of_short.output, HasSubstr("has 2 lines"));
   // Further sub-maps are aligned by themselves; KITTI's poses belong to the frames.
   const fs::path parts = fresh("parts");
   fs::copy(reference(), parts, fs::copy_options::recursive);

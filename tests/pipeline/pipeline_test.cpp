@@ -208,6 +208,36 @@ TEST(FramesStage, KnownPosesAreThePath) {
   EXPECT_THROW(known_poses("1.0 0 0 0 0 0 0 1\n", "other.txt", *session, options.session), InputError);
 }
 
+// The same recording with its own calibration and with one whose right camera looks 3 px too low.
+TEST(FramesStage, TellsThatRowsDoNotCorrespondAndThatSurfacesAreTooNear) {
+  const TemporaryFolder folder;
+  const std::filesystem::path recording = folder.path() / "session";
+  iris::testing::write_synthetic_session(recording, 6);
+  const auto summary_of = [&](const std::string& name, int disparities) {
+    Options options;
+    options.stereo.disparities = disparities;
+    const auto session = session::open_session(recording, options.session);
+    OptionSet set;
+    options.declare(set);
+    auto workspace = workspace::Workspace::create(folder.path() / name, "s", "f");
+    run_stages({frames_stage(*session, options)}, set, workspace, {});
+    return summarise_frames(workspace, workspace::Poses::odometry);
+  };
+  const FramesSummary good = summary_of("good", 0);
+  EXPECT_EQ(good.rows_text, "");
+  EXPECT_EQ(good.too_near_text(), "");
+
+  const FramesSummary near = summary_of("near", 16);
+  EXPECT_EQ(near.too_near, 6);
+  EXPECT_THAT(near.too_near_text(), ::testing::HasSubstr("--stereo.disparities 32"));
+
+  std::string calibration = read_file(recording / "calibration.yaml");
+  const size_t right = calibration.find("119.5", calibration.find("M2:"));
+  ASSERT_NE(right, std::string::npos);
+  write_file(recording / "calibration.yaml", calibration.replace(right, 5, "122.5"));
+  EXPECT_THAT(summary_of("low", 0).rows_text, ::testing::HasSubstr("3.0 px apart"));
+}
+
 TEST(SummariseFrames, CountsPosesSubMapsAndPath) {
   const TemporaryFolder folder;
   auto workspace = workspace::Workspace::create(folder.path() / "out", "s", "f");

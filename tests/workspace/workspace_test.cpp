@@ -105,7 +105,9 @@ TEST(Workspace, GivesBackEveryRecordBitForBitAfterReopening) {
     Workspace workspace = Workspace::create(folder.path() / "out", "/recordings/a", "aaaa");
     for (int i = 0; i < 5; ++i) {
       const StereoView view = test_view(i, true);
-      workspace.add_frame(posed(i, i < 3 ? 0 : 1), i % 2 == 0 ? &view : nullptr);
+      FrameRecord record = posed(i, i < 3 ? 0 : 1);
+      record.too_near = i == 3;
+      workspace.add_frame(record, i % 2 == 0 ? &view : nullptr);
     }
     workspace.add_frame(
         {.frame_idx = 5, .stamp_ns = 9, .state = FrameState::unreadable, .message = "left.png: truncated"}, nullptr);
@@ -118,6 +120,8 @@ TEST(Workspace, GivesBackEveryRecordBitForBitAfterReopening) {
   EXPECT_FALSE(workspace.frame(6).has_value());
   EXPECT_EQ(workspace.frame(5)->state, FrameState::unreadable);
   EXPECT_EQ(workspace.frame(5)->message, "left.png: truncated");
+  EXPECT_TRUE(workspace.frame(3)->too_near);
+  EXPECT_FALSE(workspace.frame(2)->too_near);
   const FrameRecord expected = posed(4, 1), record = *workspace.frame(4);
   EXPECT_EQ(record.stamp_ns, expected.stamp_ns);
   EXPECT_EQ(record.submap, 1);
@@ -159,7 +163,16 @@ TEST(Workspace, PoseGraphAndViewsAreThoseThatAreAskedFor) {
   accepted.edge.covariance = 0.25 * Matrix6d::Identity();
   accepted.edge.verdict = loop::LoopVerdict::accepted;
   refined.loops = {accepted, {.edge = {.i = 1, .j = 3, .score = 0.3, .verdict = loop::LoopVerdict::no_motion}}};
+  refined.worlds = {{.submap = 0, .floor_found = true, .alignment = "floor"},
+                    {.submap = 1, .alignment = "first camera", .up_guessed = true}};
+  refined.calibration = {.text = "disparity offset", .is_wrong = true};
   workspace.set_refined(refined);
+  EXPECT_EQ(workspace.calibration().text, "disparity offset");
+  EXPECT_TRUE(workspace.calibration().is_wrong);
+  ASSERT_EQ(workspace.worlds().size(), 2u);
+  EXPECT_TRUE(workspace.worlds()[0].floor_found);
+  EXPECT_EQ(workspace.worlds()[0].guess_text(), "");
+  EXPECT_NE(workspace.worlds()[1].guess_text().find("first camera"), std::string::npos);
   const PoseGraph path = workspace.pose_graph(Poses::refined);
   ASSERT_EQ(path.nodes.size(), 4u);
   EXPECT_TRUE(path.nodes[3].world_from_cam.affine() == refined.nodes[3].world_from_cam.affine());

@@ -1,6 +1,8 @@
 #include "export/cloud_file.h"
 
 #include <gtest/gtest.h>
+#include <pcl/io/pcd_io.h>
+#include <pcl/io/ply_io.h>
 
 #include <cstring>
 #include <map>
@@ -41,6 +43,31 @@ void expect_equal(const PointCloud& a, const PointCloud& b) {
     EXPECT_EQ(a.points[i].sigma, b.points[i].sigma);
     EXPECT_EQ(a.points[i].range, b.points[i].range);
     EXPECT_EQ(a.points[i].views, b.points[i].views);
+  }
+}
+
+// The same by the fields that PCL found.
+void expect_equal(const pcl::PCLPointCloud2& read, const PointCloud& cloud) {
+  ASSERT_EQ(read.width * read.height, cloud.points.size());
+  std::map<std::string, pcl::PCLPointField> fields;
+  for (const pcl::PCLPointField& field : read.fields) fields[field.name] = field;
+  for (const char* name : {"x", "y", "z", "normal_x", "normal_y", "normal_z", "rgb", "sigma", "range", "views"}) {
+    ASSERT_TRUE(fields.contains(name)) << name;
+  }
+  const auto number = [&](size_t i, const char* name) {
+    float value;
+    std::memcpy(&value, &read.data[i * read.point_step + fields[name].offset], sizeof value);
+    return value;
+  };
+  for (size_t i = 0; i < cloud.points.size(); ++i) {
+    const CloudPoint& p = cloud.points[i];
+    EXPECT_EQ(Eigen::Vector3f(number(i, "x"), number(i, "y"), number(i, "z")), p.position);
+    EXPECT_EQ(Eigen::Vector3f(number(i, "normal_x"), number(i, "normal_y"), number(i, "normal_z")), p.normal);
+    EXPECT_EQ(number(i, "sigma"), p.sigma);
+    EXPECT_EQ(number(i, "range"), p.range);
+    uint32_t packed;
+    std::memcpy(&packed, &read.data[i * read.point_step + fields["rgb"].offset], sizeof packed);
+    EXPECT_EQ(packed & 0xffffff, uint32_t{p.rgb[0]} << 16 | uint32_t{p.rgb[1]} << 8 | p.rgb[2]);
   }
 }
 
@@ -118,6 +145,21 @@ TEST_F(CloudFile, AnUnwritablePlaceIsAnError) {
   write_file(temporary_.path() / "file", "");
   EXPECT_THROW(write_ply(temporary_.path() / "file" / "cloud.ply", made_cloud(1)), InputError);
   EXPECT_THROW(write_pcd(temporary_.path() / "file" / "cloud.pcd", made_cloud(1)), InputError);
+}
+
+// PCL's own readers find every point with its error.
+TEST_F(CloudFile, PclReadsEveryPointWithItsError) {
+  const PointCloud cloud = made_cloud(300);
+  for (const bool ascii : {false, true}) {
+    write_ply(ply_, cloud, ascii);
+    pcl::PCLPointCloud2 read;
+    ASSERT_EQ(pcl::io::loadPLYFile(ply_.string(), read), 0);
+    expect_equal(read, cloud);
+  }
+  write_pcd(pcd_, cloud);
+  pcl::PCLPointCloud2 read;
+  ASSERT_EQ(pcl::io::loadPCDFile(pcd_.string(), read), 0);
+  expect_equal(read, cloud);
 }
 
 }  // namespace

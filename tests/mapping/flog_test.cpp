@@ -144,30 +144,40 @@ TEST(FlogBuilder, SlicesFindSurfacesThatLieFlatInALayer) {
   EXPECT_LT(share_found(1), 0.5);
 }
 
-// A wall from side to side, 3 m ahead of the only camera; the cells all around are free if one believes the rays.
-TEST(Rasterise, KnowsOnlyWhatAViewCanHaveSeen) {
-  constexpr int kSide = FlogMap::kTileCells;
+// A map of one tile without cells, looked into by a level camera at its edge.
+FlogMap tile_seen_from(double height, int image_side, std::vector<double> layer_bounds, int slices) {
   FlogMap map;
   map.cell_size = 0.1;
-  map.layer_bounds = {0, 1};
+  map.layer_bounds = std::move(layer_bounds);
+  map.slices = slices;
   map.full_rays = 1;
-  map.camera = {.f = 100, .cx = 99.5, .cy = 99.5, .baseline = 0.1, .width = 200, .height = 200};
-  map.viewpoints = {level_camera({0.05, 3.25, 0.5}, 0)};
+  const double centre = (image_side - 1) / 2.0;
+  map.camera = {.f = 100, .cx = centre, .cy = centre, .baseline = 0.1, .width = image_side, .height = image_side};
+  map.viewpoints = {level_camera({0.05, 3.25, height}, 0)};
   map.tiles_x = map.tiles_y = 1;
   map.tiles.push_back(std::make_unique<FlogMap::Tile>());
   map.tiles[0]->viewpoints = {0};
+  return map;
+}
+
+// By cells of the world; unknown outside of the raster.
+MapState state_at(const MapRaster& raster, int x, int y) {
+  const int column = x - static_cast<int>(std::lround(raster.origin_x / raster.cell));
+  const int row = raster.height - 1 - y + static_cast<int>(std::lround(raster.origin_y / raster.cell));
+  const bool inside = cv::Rect(0, 0, raster.width, raster.height).contains({column, row});
+  return inside ? static_cast<MapState>(raster.state(row, column)) : MapState::unknown;
+}
+
+// A wall from side to side, 3 m ahead of the only camera; the cells all around are free if one believes the rays.
+TEST(Rasterise, KnowsOnlyWhatAViewCanHaveSeen) {
+  constexpr int kSide = FlogMap::kTileCells;
+  FlogMap map = tile_seen_from(0.5, 200, {0, 1}, 1);
   for (int i = 0; i < kSide * kSide; ++i) {
     const bool wall = i % kSide == 30;
     map.tiles[0]->cells.push_back(wall ? FlogCell{0, FlogCell::kOne, 5, 1} : FlogCell{FlogCell::kOne, 0, 5, 1});
   }
   FlogOptions options;
-  const auto state_at = [&](int x, int y) {
-    const MapRaster raster = rasterise(map, options);
-    const int column = x - static_cast<int>(std::lround(raster.origin_x / raster.cell));
-    const int row = raster.height - 1 - y + static_cast<int>(std::lround(raster.origin_y / raster.cell));
-    const bool inside = cv::Rect(0, 0, raster.width, raster.height).contains({column, row});
-    return inside ? static_cast<MapState>(raster.state(row, column)) : MapState::unknown;
-  };
+  const auto state_at = [&](int x, int y) { return mapping::state_at(rasterise(map, options), x, y); };
   EXPECT_EQ(state_at(10, 32), MapState::free);
   EXPECT_EQ(state_at(30, 32), MapState::occupied);
   EXPECT_EQ(state_at(30, 50), MapState::occupied);  // seen aslant
@@ -202,33 +212,18 @@ TEST(Rasterise, KnowsOnlyWhatAViewCanHaveSeen) {
 // ridge, but not down to the surface.
 TEST(Rasterise, SightThatEndsAboveAnObstacleEndsOnIt) {
   constexpr int kSide = FlogMap::kTileCells, kSlice = kSide * kSide;
-  FlogMap map;
-  map.cell_size = 0.1;
-  map.layer_bounds = {0, 0.3};
-  map.slices = 3;
-  map.full_rays = 1;
-  map.camera = {.f = 100, .cx = 199.5, .cy = 199.5, .baseline = 0.1, .width = 400, .height = 400};
-  map.viewpoints = {level_camera({0.05, 3.25, 1.05}, 0)};
-  map.tiles_x = map.tiles_y = 1;
-  map.tiles.push_back(std::make_unique<FlogMap::Tile>());
-  map.tiles[0]->viewpoints = {0};
+  FlogMap map = tile_seen_from(1.05, 400, {0, 0.3}, 3);
   const FlogCell occupied{0, FlogCell::kOne, 5, 2}, free{FlogCell::kOne, 0, 5, 2};
   for (int i = 0; i < 3 * kSlice; ++i) {
     const int x = i % kSide, z = i / kSlice;
     const bool ridge = z == 1 && x >= 30 && x < 34;
     map.tiles[0]->cells.push_back(z == 0 || ridge ? occupied : free);
   }
-  const auto state_at = [&](int x, int y) {
-    const MapRaster raster = rasterise(map);
-    const int column = x - static_cast<int>(std::lround(raster.origin_x / raster.cell));
-    const int row = raster.height - 1 - y + static_cast<int>(std::lround(raster.origin_y / raster.cell));
-    return static_cast<MapState>(raster.state(row, column));
-  };
-  EXPECT_EQ(state_at(20, 32), MapState::occupied);
-  EXPECT_EQ(state_at(36, 32), MapState::occupied);
+  EXPECT_EQ(state_at(rasterise(map), 20, 32), MapState::occupied);
+  EXPECT_EQ(state_at(rasterise(map), 36, 32), MapState::occupied);
   // The surface is not seen itself: nothing is known where the cell above it is not known to be free.
   for (int z = 1; z < 3; ++z) map.tiles[0]->cells[static_cast<size_t>(z * kSlice + 32 * kSide + 36)] = {};
-  EXPECT_EQ(state_at(36, 32), MapState::unknown);
+  EXPECT_EQ(state_at(rasterise(map), 36, 32), MapState::unknown);
 }
 
 TEST(FlogBuilder, GivesTheSameBitsForAnyNumberOfThreads) {
